@@ -19,9 +19,8 @@ from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import TaskError
-from momapos.model.records.plans import Status
+from momapos.model.records.plans import Status, Task
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -32,7 +31,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.result import PlacementResult
 from momapos.workflows.joint_belief import plan_by_hypothesis
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 
 HALF = 0.5
 

@@ -26,8 +26,8 @@ from jaxtyping import Float
 from importance_rooms import is_wall
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, pose
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.protocols import ArticulationPredictor
 from momapos.model.records.scans import Cloud, Detection
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.bench.disturbances import works_disturbed
+from momapos.apps.bench.job import works_disturbed
 from momapos.core.cache import default_cache_dir
 from momapos.model.robots.robot import load_robot
 from momapos.planning.config import PipelineConfig

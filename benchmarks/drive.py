@@ -25,8 +25,7 @@ from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_names import library_names
 from momapos.model.scene.scene import Scene
-from momapos.planning.navigation.drive_record import DriveEnding, DriveRecord
-from momapos.planning.navigation.driving import DriveConfig, drive
+from momapos.planning.navigation.driving import DriveConfig, DriveEnding, DriveRecord, drive
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 
 

@@ -12,12 +12,10 @@ from matplotlib.figure import Figure
 
 from drive_rooms import Question
 from momapos.apps.plots.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
-from momapos.apps.plots.robot_plot import draw_footprint
-from momapos.apps.plots.room_plot import draw_room, name_objects, room_bounds
-from momapos.core.geometry.planar import place_points
-from momapos.core.geometry.transforms import wrap_angle
+from momapos.apps.plots.room_plot import draw_footprint, draw_room, name_objects, room_bounds
+from momapos.core.geometry.transforms import place_points, wrap_angle
 from momapos.model.scene.scene import Scene
-from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.navigation.footprint_map import NavigationMap
 from momapos.planning.navigation.global_path import plan_path
 

@@ -18,7 +18,7 @@ from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.task_boxes import scene_boxes
+from momapos.planning.grasps.task_motions import scene_boxes
 from momapos.planning.navigation.cost_map import (
     CELL,
     FloorPlan,

@@ -30,7 +30,7 @@ from momapos.model.robots.hand_openings import opened_as
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement

@@ -22,8 +22,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach
-from momapos.simulation.film import write_film
-from momapos.simulation.film_files import GIF, MP4, STRIP
+from momapos.simulation.film import GIF, MP4, STRIP, write_film
 from momapos.simulation.run_trace import RunTrace
 from momapos.workflows.run import run_plan
 

@@ -20,7 +20,7 @@ import numpy as np
 from momapos.apps.bench.articulated import SETS, parts, set_of
 from momapos.core.geometry.transforms import apply
 from momapos.model.scene.scene import Scene
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from objects import objects, room
 from scan_parts import AXIS, Way, way_of
 

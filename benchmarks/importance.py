@@ -29,8 +29,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.importance.config import GraphConfig, ImportanceConfig, ScorerName
 from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.relations import KINDS
-from momapos.planning.importance.scene_graph import build_graph
+from momapos.planning.importance.scene_graph import KINDS, build_graph
 from momapos.planning.importance.scorers import SCORERS
 
 SEEDS = 8

@@ -17,8 +17,7 @@ import numpy as np
 
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
-from momapos.model.records.plans import KeyObjects
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import KeyObjects, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -29,14 +29,14 @@ from importance_metrics import draw, summary, table
 from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
-from momapos.core.geometry.planar import compose
+from momapos.core.geometry.transforms import compose
+from momapos.model.records.plans import Task
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.arm_motion.feasibility import Feasibility
-from momapos.planning.arm_motion.free_grasps import collision_free_grasps
+from momapos.planning.arm_motion.hand_clearance import collision_free_grasps
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import hand_path, make_task

@@ -18,8 +18,7 @@ import numpy as np
 import tyro
 
 from momapos.model.kinematics.chain import Chain, build_chain
-from momapos.model.kinematics.ik import build_ik, solve_ik
-from momapos.model.kinematics.ik_model import bounded
+from momapos.model.kinematics.ik import bounded, build_ik, solve_ik
 from momapos.model.robots.amended_urdf import Amendments
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_names

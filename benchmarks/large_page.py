@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 
 from hostile import CAMERA
-from momapos.apps.web.moving import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.opened import OpenedScan
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
+from momapos.apps.web.playback import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.serve import served
 from momapos.core.cache import USER_CACHE
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Scan
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene

@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.apps.bench.bench_records import SuiteTask
-from momapos.apps.bench.containers import without
 from momapos.apps.bench.folder import all_rows, read_folder, scene_path
-from momapos.apps.bench.methods import method_config
+from momapos.apps.bench.methods import method_config, without
 from momapos.core.cache import default_cache_dir
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.robots.robot import load_robot

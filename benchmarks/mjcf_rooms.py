@@ -24,9 +24,8 @@ from typing import Any
 import mujoco
 
 from mjcf_support import Found, Truth, compare
-from momapos.model.scene.formats.importing import write_room
+from momapos.model.scene.formats.importing import write_mjcf, write_room
 from momapos.model.scene.formats.mjcf import read_room
-from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_names import builtin_names
 

@@ -26,8 +26,8 @@ import numpy as np
 
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box
+from momapos.core.geometry.polygons import UprightBox, top
 from momapos.core.geometry.transforms import apply, pose
-from momapos.core.geometry.upright_boxes import UprightBox, top
 from momapos.model.records.scans import Frame, Scan
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -39,11 +39,11 @@ from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.perception.records import Decision
 from momapos.perception.views.faces import Face
 from momapos.perception.views.front_view import FrontView, cosines_to
-from momapos.perception.views.projection import projection
+from momapos.perception.views.placed_parts import projection
 from momapos.planning.grasps.handle_shapes import HANDLE_WORD
 from momapos.planning.grasps.handles import has_handle
 from momapos.planning.grasps.task_requests import hand_path
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 from placement import shared
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",

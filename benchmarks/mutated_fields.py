@@ -34,8 +34,8 @@ from typing import Any
 
 import numpy as np
 
+from momapos.apps.cli.loading import open_plan
 from momapos.apps.cli.main import main as momapos
-from momapos.apps.cli.plan_sources import open_plan
 from momapos.apps.schemas.generate import schema_of
 from momapos.core.cache import USER_CACHE
 from momapos.core.errors import MomaposError
@@ -44,7 +44,7 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.other_motion import as_planned
 from momapos.model.scene.scene import Scene
 from momapos.simulation.exact_run import run_exactly
-from momapos.verification import plan_check, robot_claims
+from momapos.verification import plan_check, plan_claims
 from momapos.verification.plan_check import find_file, read_scene
 from mutations import ACCEPTED, REFUSED, amount, loaded, ours, recompute_tool_poses, theirs
 from placement import machine
@@ -295,7 +295,7 @@ def physics(file: Path) -> tuple[str, str]:
         folders = [file.resolve().parent, Path()]
         scene = read_scene(find_file("scene", plan.scene, folders, file), None)
         urdf = find_file("robot.urdf", plan.robot_urdf, folders, file)
-        robot = robot_claims.read_robot_of(plan, urdf, folders, USER_CACHE)
+        robot = plan_claims.read_robot_of(plan, urdf, folders, USER_CACHE)
         assert robot is not None
         record = run_exactly(plan, as_planned(scene, plan), robot)
     except MomaposError as error:
@@ -390,7 +390,7 @@ def main() -> None:
     args = parser.parse_args()
     # The files that the plans name stay the same; reading them takes most of the time.
     for module, name in (
-        (plan_check, "read_scene"), (plan_check, "read_urdf"), (robot_claims, "load_robot"),
+        (plan_check, "read_scene"), (plan_check, "read_urdf"), (plan_claims, "load_robot"),
     ):  # fmt: skip
         setattr(module, name, functools.cache(getattr(module, name)))
     rng = np.random.default_rng(args.seed)

@@ -28,7 +28,7 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 from object_kitchens import Place, kitchen
 
 OBJECTS = 10

@@ -26,7 +26,7 @@ import numpy as np
 
 from gallery import browsing
 from large_page import serving
-from momapos.apps.web import moving, room_view
+from momapos.apps.web import playback, room_view
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.scan_view import COARSE_POINTS
@@ -255,11 +255,11 @@ def hall(watch: Watch, page: Page, address: str, rounds: int) -> None:
 @contextmanager
 def all_drawn() -> Iterator[None]:
     """Treat every browser as fast."""
-    slow, moving.SLOW_FRAME_TIME = moving.SLOW_FRAME_TIME, math.inf
+    slow, playback.SLOW_FRAME_TIME = playback.SLOW_FRAME_TIME, math.inf
     try:
         yield
     finally:
-        moving.SLOW_FRAME_TIME = slow
+        playback.SLOW_FRAME_TIME = slow
 
 
 def one_by_one(page: Page, *, apart: bool) -> None:

@@ -20,13 +20,18 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.bench.authors_data import LABORATORY_FILE, authors_data
-from momapos.apps.bench.laboratory import TASKS, draw_layout, small_objects
-from momapos.apps.bench.printed import LABORATORY
+from momapos.apps.bench.metrics import LABORATORY
+from momapos.apps.bench.paper_rooms import (
+    LABORATORY_FILE,
+    TASKS,
+    authors_data,
+    draw_layout,
+    small_objects,
+)
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
+from momapos.model.records.plans import Task
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -23,8 +23,8 @@ import numpy as np
 
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
+from momapos.model.records.plans import Task
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_names import builtin_names

@@ -22,14 +22,19 @@ import tyro
 from momapos.core.geometry.transforms import pose
 from momapos.model.collision.arm_collision import FREE, check_states
 from momapos.model.kinematics.chain import chain_arrays
-from momapos.model.kinematics.ik_model import one_turn
+from momapos.model.kinematics.ik import one_turn
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_names import library_names
 from momapos.planning.reachability.arm_axes import no_map
 from momapos.planning.reachability.construct import build_map
-from momapos.planning.reachability.evaluation import evaluate
-from momapos.planning.reachability.exact_reach import random_poses
-from momapos.planning.reachability.map_store import build_true_map, decode, encode, load_reach_map
+from momapos.planning.reachability.map_store import (
+    build_true_map,
+    decode,
+    encode,
+    evaluate,
+    load_reach_map,
+    random_poses,
+)
 from momapos.planning.reachability.reach_map import ReachConfig, ReachMap
 
 

@@ -31,8 +31,7 @@ from momapos.planning.grasps.hand_boxes import empty_handed
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.evaluation import evaluate
-from momapos.planning.reachability.map_store import encode, load_reach
+from momapos.planning.reachability.map_store import encode, evaluate, load_reach
 from momapos.planning.reachability.reach_map import ReachMap
 from momapos.workflows.run import run_plan
 from placement import CONFIG, SCENES, scene_of

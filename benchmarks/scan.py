@@ -21,13 +21,12 @@ import numpy as np
 
 from momapos.core.cache import default_cache_dir
 from momapos.core.geometry.transforms import apply, invert, pose_planar
-from momapos.model.records.plans import PlacementPlan
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.perception.pipeline import default_tools
 from momapos.perception.records import Modeled
 from momapos.planning.config import PipelineConfig
@@ -40,7 +39,7 @@ from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.report import Limits
 from momapos.workflows.joint_belief import plan_by_hypothesis
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 from scan_rooms import Room, rooms
 
 MARGIN = 0.02

@@ -48,7 +48,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.other_motion import scene_with_part_motion
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.perception.detection.yolox import YoloxDetector
 from momapos.perception.pipeline import default_tools
 from momapos.perception.recordings.scan_reader import read_scan
@@ -60,7 +60,7 @@ from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
 from momapos.simulation.true_worlds import moved as in_other_frame
 from momapos.workflows.run import run_plan
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 from object_kitchens import Place, kitchen
 from object_rooms import listed
 from objects import objects, room

@@ -12,7 +12,7 @@ from momapos.apps.bench.articulated import parts, set_of
 from momapos.core.geometry.transforms import apply
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from scan import handle_at
 
 LOCATED = 0.5

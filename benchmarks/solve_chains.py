@@ -40,7 +40,7 @@ from momapos.perception.views.front_view import ViewMethod
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
-from momapos.workflows.scan import scan_to_scene
+from momapos.workflows.solve import scan_to_scene
 from scan import match
 
 CHAINS: dict[str, tuple[ViewMethod, tuple[str, ...]]] = {

@@ -26,7 +26,7 @@ import numpy as np
 
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import MomaposError
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.model.scene.scene import Scene

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from tests.meshes import triangles_of, write_obj
 
-from momapos.model.records.latches import Latch
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance, Latch
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from momapos.core.geometry.transforms import pose, rotation_about
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene

@@ -17,9 +17,8 @@ from momapos.perception.reconstruction.model_config import ModelConfig
 from momapos.perception.records import ScanConfig
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import ResistanceConfig
-from momapos.planning.navigation.driving import DriveConfig
+from momapos.planning.navigation.driving import DriveConfig, NoiseConfig
 from momapos.planning.navigation.dynamic_window import WindowConfig
-from momapos.planning.navigation.localization import NoiseConfig
 from momapos.planning.navigation.path_ends import PathConfig
 from momapos.planning.reachability.reach_map import ReachConfig
 from momapos.simulation.config import (

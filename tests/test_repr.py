@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from momapos import load_robot, load_scene
-from momapos.model.records.plans import Motion, PlacementPlan
+from momapos.model.records.plans import Motion, PlacementPlan, Task
 from momapos.model.records.scans import Cloud, Frame
-from momapos.model.records.tasks import Task
 from momapos.planning.grasps.task_motions import MotionConfig, task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.reachability.reach_map import ReachMap

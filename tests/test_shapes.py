@@ -15,7 +15,7 @@ import numpy as np
 from tests import shapes
 from momapos.apps.cli.options import JointsArg
 from momapos.core.geometry.transforms import pose
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 """
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from momapos.core.errors import FileFormatError, InputError, MomaposError
+from momapos.core.errors import MAX_MESSAGE_LENGTH, FileFormatError, InputError, MomaposError
 from momapos.core.files import check_outputs, open_regular, read_bytes_bounded
-from momapos.core.texts import MAX_MESSAGE_LENGTH
 
 
 def test_a_file_larger_than_the_limit_is_rejected(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import OutOfTimeError
-from momapos.core.geometry.monotone_chain import convex_hull
+from momapos.core.geometry.polygons import convex_hull
 from momapos.core.stopwatch import (
     GRACE_PERIOD,
     ProcessorClock,

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from momapos.core import temporary
-from momapos.core.temporary import (
+from momapos.core import files
+from momapos.core.files import (
     incomplete,
     remove_if_incomplete,
     temporary_folder,
@@ -24,7 +24,7 @@ from momapos.core.temporary import (
 _HANG = """
 import os, sys, time
 from pathlib import Path
-from momapos.core import temporary
+from momapos.core import files
 folder = Path(sys.argv[1])
 
 def stop(*_):
@@ -32,15 +32,15 @@ def stop(*_):
     time.sleep(600)
 
 if sys.argv[2] == "file":
-    temporary.os.fsync = stop
-    temporary.write_atomic(folder / "plan.json", b"half")
+    files.os.fsync = stop
+    files.write_atomic(folder / "plan.json", b"half")
 elif sys.argv[2] == "folder":
-    with temporary.temporary_folder(folder, "room") as inside:
+    with files.temporary_folder(folder, "room") as inside:
         (inside / "mesh.obj").write_text("v 0 0 0")
         stop()
 else:
     (folder / "draft").mkdir()
-    with temporary.incomplete(folder / "draft", folder / "room_files"):
+    with files.incomplete(folder / "draft", folder / "room_files"):
         (folder / "draft").rename(folder / "room_files")
         stop()
 """
@@ -132,7 +132,7 @@ def test_a_failure_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         raise OSError("disk full")
 
     with monkeypatch.context() as patch:
-        patch.setattr(temporary.os, "write", refuse)
+        patch.setattr(files.os, "write", refuse)
         with pytest.raises(OSError, match="disk full"):
             write_atomic(tmp_path / "a.json", b"{}")
     with suppress(ZeroDivisionError), temporary_folder(tmp_path, "room") as folder:

@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from momapos.core.errors import FileFormatError
-from momapos.core.yaml_files import parse_yaml
+from momapos.core.files import parse_yaml
 
 TEXT = """
 a: 1

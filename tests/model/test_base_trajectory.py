@@ -12,8 +12,7 @@ import pytest
 from tests.moving_base import arc, moved
 
 from momapos.core.geometry.transforms import pose_planar
-from momapos.model.records.plans import Motion, PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, PlacementPlan, Task
 from momapos.model.robots.robot import Robot
 from momapos.model.trajectory import DEFAULT, SpeedConfig, time_motion, time_plan, with_times
 

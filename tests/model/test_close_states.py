@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from momapos.model.close_states import MAX_DEVIATION, deviation, with_close_states
 from momapos.model.records.plans import Hold, Motion
-from momapos.model.trajectory import time_path
+from momapos.model.trajectory import MAX_DEVIATION, deviation, time_path, with_close_states
 
 STEP = 0.004
 

@@ -11,7 +11,7 @@ TIMED = """
 import sys
 import numpy as np
 {before}
-from momapos.model.time_law import Limits, time_piece
+from momapos.model.trajectory import Limits, time_piece
 s = np.linspace(0.0, 1.0, 20)
 one = np.ones(1)
 assert len(time_piece(s[:, None], s, Limits(one, one, 9 * one), 0.05)) > 10

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import InputError
-from momapos.model.time_law import WINDOW
-from momapos.model.trajectory import joined, still, time_path
+from momapos.model.trajectory import WINDOW, joined, still, time_path
 
 STEP = 0.004
 SPEED, ACCELERATION = np.array([1.0, 0.5, 2.0]), np.array([2.0, 2.0, 4.0])

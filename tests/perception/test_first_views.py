@@ -24,7 +24,7 @@ from momapos.perception.modeling import front_of
 from momapos.perception.records import Found, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.room_shell import RoomShell
 from momapos.perception.views.faces import box_faces
-from momapos.perception.views.projection import observations, projection
+from momapos.perception.views.placed_parts import observations, projection
 
 FIRST = ScanConfig(views="first")
 ITEM = Detection("fridge_1", "fridge", 1.0, FRIDGE, np.zeros(0, int))

@@ -14,7 +14,7 @@ from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 from momapos.model.records.scans import FaceImage, Front, Part
 from momapos.model.scene.scene_files import load_scene
-from momapos.perception.photo import Photo, model_photo
+from momapos.perception.modeling import Photo, model_photo
 from momapos.perception.records import Tools
 
 DOOR = Part("door_left", (0.0, 0.4, 1.0, 1.0), 0.9, (0.8, 0.5, 0.9, 0.55))

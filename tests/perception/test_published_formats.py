@@ -34,10 +34,13 @@ from momapos.core.errors import FileFormatError
 from momapos.core.geometry.transforms import apply, invert
 from momapos.core.saved_arrays import load_array
 from momapos.model.records.scans import Cloud, Detection, Frame, Instance
-from momapos.perception.detection.coco_results import read_coco
+from momapos.perception.detection.coco import read_coco
 from momapos.perception.recordings.masks import read_instances
-from momapos.perception.segmentation.given_instances import boxes_in_images, without_duplicates
-from momapos.perception.segmentation.instance_boxes import boxes
+from momapos.perception.segmentation.instance_boxes import (
+    boxes,
+    boxes_in_images,
+    without_duplicates,
+)
 from momapos.perception.segmentation.room_shell import RoomShell, find_room
 
 SPACING = {"scannet": 0.045, "phone": 0.02, "realsense": 0.015}

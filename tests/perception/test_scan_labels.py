@@ -11,7 +11,7 @@ from tests.perception.views.painted_box import FRIDGE, camera, image
 from momapos.core.geometry.transforms import apply
 from momapos.model.records.scans import Cloud, Detection, Frame, ImageDetection
 from momapos.perception.detection.coco import LABELS
-from momapos.perception.labels import with_labels
+from momapos.perception.pipeline import with_labels
 
 EYES = [(-0.5, 0.5, 1.0), (-0.4, 0.2, 1.2), (-0.6, 0.9, 1.1)]
 

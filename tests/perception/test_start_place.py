@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tests.furnished import Corners, look_at
 
-from momapos.core.geometry.upright_boxes import UprightBox, from_corners, to_local
+from momapos.core.geometry.polygons import UprightBox, from_corners, to_local
 from momapos.model.records.scans import Frame
-from momapos.perception.start_place import start_place
+from momapos.perception.pipeline import start_place
 
 FLOOR = [(-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)]
 POCKET: list[Corners] = [

@@ -13,10 +13,10 @@ import pytest
 from tests.cupboards import HINGE, carcass, furniture_room, joint, link
 
 from momapos.apps.cli.main import main
-from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.polygons import contains, edge_distances
+from momapos.core.geometry.transforms import place_points
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.tasks import BaseRegion
+from momapos.model.records.plans import BaseRegion
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene

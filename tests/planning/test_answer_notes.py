@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.cupboards import LATCHES, carcass, furniture_room, joint, link
 
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.planning.advice import with_advice

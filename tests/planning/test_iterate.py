@@ -9,7 +9,7 @@ import pytest
 from tests.rooms import Everywhere
 
 from momapos.core.errors import InputError
-from momapos.model.records.tasks import BaseRegion, Task
+from momapos.model.records.plans import BaseRegion, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

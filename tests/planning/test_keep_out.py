@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room
 
-from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.polygons import any_overlap
+from momapos.core.geometry.transforms import place_points
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.records.tasks import BaseRegion, Outline
+from momapos.model.records.plans import BaseRegion, Outline
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene

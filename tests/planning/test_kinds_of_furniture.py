@@ -30,7 +30,7 @@ from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.handles import find_handles
 from momapos.planning.grasps.task_requests import make_task, openable

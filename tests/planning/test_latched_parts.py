@@ -13,16 +13,12 @@ from tests.cupboards import LATCHES, furniture_room, latched_room, link
 from tests.real import check_independently
 from tests.shapes import unchecked
 
-from momapos.apps.export.phases import PhaseKind, phases_of
-from momapos.apps.export.tables import write_csv
-from momapos.apps.export.timeline import plan_timeline
+from momapos.apps.export.timeline import PhaseKind, phases_of, plan_timeline, write_csv
 from momapos.apps.web.playback import Story, values_at_end
 from momapos.core.errors import FileFormatError, TaskError
 from momapos.core.geometry.transforms import invert
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.latches import Latch
-from momapos.model.records.plans import Hold, Motion
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import Hold, JointResistance, Latch, Motion
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene

@@ -11,7 +11,7 @@ import pytest
 from tests.model.robots.test_load_limits import with_urdf
 
 from momapos.core.errors import InputError, SceneError
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_names import LIBRARY
 from momapos.model.scene.scene import Scene

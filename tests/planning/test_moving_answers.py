@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.core.geometry.planar import local_points
+from momapos.core.geometry.transforms import local_points
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Verb
+from momapos.model.records.plans import Motion, Verb
 from momapos.model.robots.robot import Drive, load_robot
 from momapos.model.scene.other_motion import with_assumptions
 from momapos.model.scene.scene import Scene

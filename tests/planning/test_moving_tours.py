@@ -13,7 +13,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.tour import Request
-from momapos.verification.tour_check import verify_tour
+from momapos.verification.plan_check import verify_tour
 
 
 @pytest.mark.slow

@@ -21,9 +21,9 @@ from tests.cupboards import (
 from tests.real import check_independently
 from tests.rooms import without_springs
 
-from momapos.apps.cli.plan_sources import open_plan
-from momapos.apps.export.phases import PhaseKind, phases_of
+from momapos.apps.cli.loading import open_plan
 from momapos.apps.export.ros2 import messages
+from momapos.apps.export.timeline import PhaseKind, phases_of
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene, SceneObject

@@ -16,7 +16,7 @@ from momapos.apps.plots.opening_plot import (
     draw_opening_map,
     draw_opening_map_alone,
 )
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -15,7 +15,7 @@ from tests.rooms import Everywhere, cabinet_room, move_scene
 from momapos.core.errors import OutOfTimeError, SceneError
 from momapos.core.stopwatch import Stopwatch, processor_time
 from momapos.model.plan_files.plan_format import plan_to_dict, write_plan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene

@@ -20,7 +20,7 @@ from momapos.model.records.outcomes import Tolerance
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.arm_motion.carried_motion import adapt_motion
+from momapos.planning.arm_motion.feasibility import adapt_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, placement_tolerance, plan_base_placement
 from momapos.planning.placement.problem import Search

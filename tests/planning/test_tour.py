@@ -26,7 +26,7 @@ from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
 from momapos.planning.tour import Request
 from momapos.verification.exact_check import PlanVerifier
-from momapos.verification.tour_check import verify_tour
+from momapos.verification.plan_check import verify_tour
 
 SAMPLED = PipelineConfig(place=PlaceConfig(grid=False), timeout=300.0)
 DRAWER = ("cabinet_right", "drawer_middle_slide")

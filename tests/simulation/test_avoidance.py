@@ -17,9 +17,13 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import time_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.simulation.approach import pace_trajectory
-from momapos.simulation.arm_control import CompliantArm, Reference
-from momapos.simulation.avoidance import Bounds, CollisionAvoidance
+from momapos.simulation.arm_control import (
+    Bounds,
+    CollisionAvoidance,
+    CompliantArm,
+    Reference,
+    pace_trajectory,
+)
 from momapos.simulation.config import (
     AVOID_RATE,
     NEAR_GRASP,
@@ -30,9 +34,8 @@ from momapos.simulation.config import (
     Ending,
     ExecutionConfig,
 )
-from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.robot_dynamics import find_hand, read_dynamics
 from momapos.simulation.run_record import Execution
-from momapos.simulation.simulated_hand import find_hand
 from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import Simulation, build_simulation
 from momapos.simulation.true_worlds import TrueWorld

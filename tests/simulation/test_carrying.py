@@ -17,9 +17,9 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
+from momapos.simulation.arm_control import SensedForces
 from momapos.simulation.config import Ending, ExecutionConfig, FurnitureConfig, Stage
-from momapos.simulation.feel import SensedForces
-from momapos.simulation.payload import Payload
+from momapos.simulation.execution_run import Payload
 from momapos.simulation.run_record import Execution
 from momapos.simulation.simulation import Simulation
 

@@ -10,10 +10,9 @@ import pytest
 from tests.simulation.toy import Toy, toy
 from tests.verification.door_case import OPEN, Case, make_case
 
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, Task
+from momapos.simulation.arm_control import sense_forces
 from momapos.simulation.config import STOP_FORCE, Ending, ExecutionConfig, FurnitureConfig
-from momapos.simulation.feel import sense_forces
 from momapos.simulation.simulation import Simulation
 
 FLUSH = (

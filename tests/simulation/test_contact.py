@@ -18,8 +18,7 @@ from momapos.simulation.config import (
     GripConfig,
     ModelErrorConfig,
 )
-from momapos.simulation.dynamics import read_dynamics
-from momapos.simulation.simulated_hand import SimulatedHand, find_hand
+from momapos.simulation.robot_dynamics import SimulatedHand, find_hand, read_dynamics
 from momapos.simulation.simulated_room import PART, seal_of
 from momapos.simulation.simulation import Simulation
 

@@ -14,9 +14,18 @@ from tests.simulation.toy import toy
 
 from momapos.core.errors import InputError
 from momapos.model.scene.scene_object import SceneObject
-from momapos.simulation.film import COLUMNS, FILM_HEIGHT, HEIGHT, WIDTH, write_film
-from momapos.simulation.film_camera import Shot, frame_shot
-from momapos.simulation.film_canvas import FORCE_COLOR, Overlay, canvas
+from momapos.simulation.film import (
+    COLUMNS,
+    FILM_HEIGHT,
+    FORCE_COLOR,
+    HEIGHT,
+    WIDTH,
+    Overlay,
+    Shot,
+    canvas,
+    frame_shot,
+    write_film,
+)
 from momapos.simulation.geoms import Kind
 from momapos.simulation.run_trace import RunTrace
 

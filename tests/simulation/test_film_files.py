@@ -12,7 +12,7 @@ from PIL import Image
 from tests import optional
 
 from momapos.core.errors import InputError, MissingExtraError
-from momapos.simulation.film_files import GIF, MP4, check_film, encode_film
+from momapos.simulation.film import GIF, MP4, check_film, encode_film
 
 RATE = 10.0
 IMAGES = [np.full((48, 64, 3), shade, np.uint8) for shade in (20, 120, 220)]

@@ -13,16 +13,15 @@ from tests.model.robots.test_fingers import STRONG, derived, sliding, with_finge
 from tests.urdf_parts import box, joint, link
 
 from momapos.core.geometry.transforms import apply, invert, rotation_of
-from momapos.model.robots.fingertips import pivots
+from momapos.model.robots.hand_openings import pivots
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.arm_length import by_arm_length
+from momapos.planning.reachability.map_store import by_arm_length
 from momapos.simulation.config import ExecutionConfig
-from momapos.simulation.dynamics import read_dynamics
-from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.robot_dynamics import find_hand, read_dynamics
 from momapos.simulation.simulated_robot import body_of
 from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import build_simulation

@@ -13,9 +13,9 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig, Stage
-from momapos.simulation.model_errors import draw_deviation, mirrored
 from momapos.simulation.simulated_room import Deviation
 from momapos.simulation.simulation import Simulation
+from momapos.simulation.worlds import draw_deviation, mirrored
 
 TILT = 0.15
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import FileFormatError, InputError
-from momapos.model.records.tasks import Task
-from momapos.simulation.run_motion import RunMotion
+from momapos.model.records.plans import Task
 from momapos.simulation.run_record import (
     Collision,
     Execution,
+    RunMotion,
     RunRecord,
     Slip,
     Visit,

@@ -9,18 +9,15 @@ import numpy as np
 import pytest
 from tests.cupboards import FOLLOWERS, carcass, furniture_room, joint
 
-from momapos.model.records.resistances import JointResistance
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import JointResistance, Task
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.joint_resistance import known_resistance, resistance_along, weight_at
 from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig
-from momapos.simulation.dynamics import read_dynamics
-from momapos.simulation.followers import set_followers
-from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.robot_dynamics import find_hand, read_dynamics
 from momapos.simulation.simulated_room import draw_resistance, seal_of
-from momapos.simulation.simulation import Simulation, build_simulation
+from momapos.simulation.simulation import Simulation, build_simulation, set_followers
 
 CONFIG = ResistanceConfig()
 HINGE = joint("hinge", "revolute", ("body", "door"), (-0.26, 0, 0.1), (0, -1, 0), (0, 1.57))

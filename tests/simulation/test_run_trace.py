@@ -11,7 +11,7 @@ from tests.verification.door_case import BASE, JOINTS, OPEN
 from momapos.core.geometry.transforms import pose_planar
 from momapos.simulation.base_drive import base_pose_of, initial_base_pose
 from momapos.simulation.config import Stage
-from momapos.simulation.run_motion import DRIVE, RunMotion
+from momapos.simulation.run_record import DRIVE, RunMotion
 from momapos.simulation.run_trace import RunTrace
 
 X, Y, YAW = BASE

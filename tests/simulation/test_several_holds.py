@@ -21,7 +21,7 @@ from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
-from momapos.simulation.approach import PacedTrajectory
+from momapos.simulation.arm_control import PacedTrajectory
 from momapos.simulation.config import (
     BESIDE_SPEED,
     OBSERVED_DISTANCE,
@@ -30,11 +30,10 @@ from momapos.simulation.config import (
     HoldMethod,
     Stage,
 )
-from momapos.simulation.dynamics import read_dynamics
 from momapos.simulation.exact_run import run_exactly
 from momapos.simulation.execution_run import ExecutionRun, Stretch
 from momapos.simulation.geoms import HAND, Kind
-from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.robot_dynamics import find_hand, read_dynamics
 from momapos.simulation.simulated_room import PartResistance, Seal
 from momapos.simulation.simulation import Simulation, build_simulation
 from momapos.simulation.stages import carry_out

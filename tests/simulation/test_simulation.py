@@ -15,14 +15,13 @@ from tests.verification.door_case import make_case
 
 from momapos.core.errors import UrdfError
 from momapos.core.geometry.transforms import invert, pose_planar
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.reader import Geometry
 from momapos.simulation.config import ExecutionConfig
-from momapos.simulation.dynamics import read_dynamics, volume
 from momapos.simulation.geoms import Kind, masks
-from momapos.simulation.simulated_hand import find_hand
+from momapos.simulation.robot_dynamics import find_hand, read_dynamics, volume
 from momapos.simulation.simulated_robot import body_of
 from momapos.simulation.simulated_room import PartResistance
 from momapos.simulation.simulation import Simulation, build_simulation

@@ -17,9 +17,9 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.simulation import simulation
 from momapos.simulation.config import Ending, Stage
+from momapos.simulation.execution_run import Tipping
 from momapos.simulation.run_record import RunRecord
 from momapos.simulation.simulation import Simulation
-from momapos.simulation.tipping import Tipping
 from momapos.workflows.run import run_plan
 
 Robots = Callable[[str], Robot]

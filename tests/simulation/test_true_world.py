@@ -11,7 +11,7 @@ from tests.simulation.toy import Toy, gripping
 from tests.verification.door_case import BASE, HINGE, OPEN, cupboard_urdf
 
 from momapos.core.errors import InputError
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.simulation.config import ExecutionConfig

@@ -11,8 +11,7 @@ import numpy as np
 from tests.verification.door_case import BASE, JOINTS, OPEN, Case, make_case
 
 from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -14,7 +14,7 @@ from momapos.core.errors import FileFormatError
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.records.plans import PlacementPlan
-from momapos.verification.base_path_checks import MAX_BASE_STEP, wheel_checks
+from momapos.verification.path_checks import MAX_BASE_STEP, wheel_checks
 from momapos.verification.plan_check import verify_files
 
 SIDEWAYS, TIGHT = (

@@ -13,8 +13,7 @@ from tests.verification.moving_case import case_of
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, RobotError, UnknownNameError
-from momapos.model.plan_files.named_files import sha256
-from momapos.model.plan_files.plan_format import read_plan, write_plan
+from momapos.model.plan_files.plan_format import read_plan, sha256, write_plan
 from momapos.model.robots.hand_openings import opened_as
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
@@ -22,8 +21,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.verification.plan_check import verify_files
-from momapos.verification.plan_numbers import check_plan_numbers
+from momapos.verification.plan_check import check_plan_numbers, verify_files
 from momapos.verification.report import Report
 
 FINGER_AND_HEAD = """

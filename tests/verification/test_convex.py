@@ -18,7 +18,7 @@ from momapos.model.urdf.reader import Geometry, Link, Urdf
 from momapos.verification.convex import Body, overlap
 from momapos.verification.exact_shapes import Shapes, shapes_of
 from momapos.verification.link_bodies import bodies_of
-from momapos.verification.polygon import outside
+from momapos.verification.motion_loads import outside
 from momapos.verification.sweep import all_pairs, deepest, first_contact
 
 seeds = st.integers(0, 2**32 - 1)

@@ -17,8 +17,7 @@ from tests.shapes import unchecked
 
 from momapos.core.errors import TaskError, UnknownNameError
 from momapos.core.geometry.transforms import pose_planar
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, Task
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf

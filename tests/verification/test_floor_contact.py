@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from tests.cupboards import Box, carcass, furniture_room, joint, link
 
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.verification.floor_contact import (
+from momapos.verification.moved_part import moved_part, split
+from momapos.verification.part_sweep import (
     TOUCH,
     depths_below_floor,
     floor_contact,
     meets_floor_at,
+    part_sweep_check,
 )
-from momapos.verification.moved_part import moved_part, split
-from momapos.verification.part_sweep import part_sweep_check
 from momapos.verification.report import DEFAULT
 
 FRONT = -0.262

@@ -31,7 +31,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 from momapos.verification.exact_check import PlanVerifier
-from momapos.verification.motion_loads import HandLoad
+from momapos.verification.motion_loads import CarriedLoad
 from momapos.verification.path_checks import dense_path
 from momapos.verification.plan_check import UrdfArm, verify_files
 from momapos.verification.report import DEFAULT
@@ -238,7 +238,7 @@ def test_a_grasp_transmits_what_pulls_at_it(family: str, tmp_path: Path) -> None
         (check,) = (c for c in verifier.load_checks(BASE, plan.motion) if c.name == PULL)
         shares[force] = check.value / 100.0
         assert check.ok == (check.value <= 100.0)
-    need = HandLoad(scene.object("cupboard"), plan.task, ResistanceConfig())
+    need = CarriedLoad(scene.object("cupboard"), plan.task, ResistanceConfig())
     path = dense_path(plan.motion, 0.02)
     pull, _ = need.along(plan.motion, path, np.repeat(np.eye(4)[None], len(path.q), 0))
     most = float(np.linalg.norm(pull, axis=1).max())

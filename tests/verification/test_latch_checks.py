@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from door_case import make_case
 
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, Task
 from momapos.model.scene.scene_files import load_scene
-from momapos.verification.latch_checks import known_latch_checks, latch_checks
 from momapos.verification.moved_part import MovedLatch, MovedPart, split
+from momapos.verification.path_checks import known_latch_checks, latch_checks
 from momapos.verification.report import DEFAULT
 
 START, GOAL, SLACK = 0.1, 0.8, DEFAULT.goal * 0.7

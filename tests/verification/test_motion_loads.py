@@ -11,9 +11,7 @@ import pytest
 
 from momapos.core.units import GRAVITY
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.loads import MOVING_PULL
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import MOVING_PULL, JointResistance, PlacementPlan
 from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.resistance_config import ResistanceConfig
@@ -23,12 +21,11 @@ from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.verification.exact_check import PlanVerifier
-from momapos.verification.motion_loads import HandLoad, MeasuredLoads
+from momapos.verification.motion_loads import CarriedLoad, MeasuredLoads, robot_efforts
 from momapos.verification.path_checks import DensePath
 from momapos.verification.plan_check import verify_files
 from momapos.verification.report import DEFAULT
 from momapos.verification.robot_collision_model import robot_collision_model
-from momapos.verification.robot_efforts import robot_efforts
 
 Robots = Callable[[str], Robot]
 
@@ -141,7 +138,7 @@ def test_a_part_pulls_more_on_a_hand_whose_base_moves(
     motion, scene = opened.motion, load_scene("kitchen_small")
     assert motion is not None
     assert opened.base_pose is not None
-    load = HandLoad(scene.object("fridge"), opened.task, ResistanceConfig())
+    load = CarriedLoad(scene.object("fridge"), opened.task, ResistanceConfig())
     count, held = len(motion.q), motion.grasps[0]
     path = DensePath(motion.q, motion.object_q, np.arange(count, dtype=float), 0)
     rests = np.tile(opened.base_pose, (count, 1))

@@ -17,10 +17,10 @@ from momapos.core.errors import FileFormatError
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.robots.robot import Robot
+from momapos.verification.motion_loads import robot_efforts
 from momapos.verification.plan_check import verify_files
 from momapos.verification.report import Report
 from momapos.verification.robot_collision_model import robot_collision_model
-from momapos.verification.robot_efforts import robot_efforts
 
 NAMES = INDEPENDENT_NAMES | {
     "base turns tighter than its drive can": "base turns tighter than it can",

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from door_case import JOINTS, make_case
 
-from momapos.core.errors import MomaposError
-from momapos.core.texts import MAX_MESSAGE_LENGTH
+from momapos.core.errors import MAX_MESSAGE_LENGTH, MomaposError
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated

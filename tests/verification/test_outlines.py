@@ -14,10 +14,10 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Geometry, Link, Urdf
+from momapos.verification.exact_check import outside_note
 from momapos.verification.exact_shapes import Shapes, join, shapes_of
 from momapos.verification.link_bodies import bodies_of
-from momapos.verification.outline_note import outside_note
-from momapos.verification.polygon import depths_in, farthest_outside, outline_of, outside
+from momapos.verification.motion_loads import depths_in, farthest_outside, outline_of, outside
 
 FLOOR = np.array([[-2.0, -1.5], [2.0, -1.5], [2.0, 1.5], [-2.0, 1.5]])
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.meshes import Box, triangles_of, write_obj
 
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.verification.moved_part import split

@@ -9,8 +9,7 @@ import pytest
 from door_case import BASE, JOINTS, OPEN, Case, arm_path, make_case, tool_poses
 
 from momapos.core.geometry.transforms import invert
-from momapos.model.records.plans import Motion
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, Task
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf

@@ -13,10 +13,10 @@ from door_case import Case, make_case
 
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot
+from momapos.verification.path_checks import time_checks
 from momapos.verification.plan_check import verify_files
 from momapos.verification.report import DEFAULT, Report
 from momapos.verification.robot_collision_model import robot_collision_model
-from momapos.verification.time_checks import time_checks
 
 SPEED = 1.0
 """Speed limit of every joint of the toy arm [rad/s]."""

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.apps.export.phases import PhaseKind, phases_of
+from momapos.apps.export.timeline import PhaseKind, phases_of
 from momapos.core.errors import FileFormatError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.plans import Motion, PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Motion, PlacementPlan, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Detection, FaceImage, Part, PartKind
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

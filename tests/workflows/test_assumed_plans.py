@@ -21,9 +21,8 @@ from momapos.apps.cli.main import main
 from momapos.apps.web.words import answer_card, run_card
 from momapos.core.errors import InputError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.plans import Status, status_of_all
+from momapos.model.records.plans import Status, Task, status_of_all
 from momapos.model.records.scans import Scan
-from momapos.model.records.tasks import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.other_motion import scene_with_hypothesis
 from momapos.model.scene.scene import Scene

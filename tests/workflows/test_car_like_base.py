@@ -10,7 +10,7 @@ import pytest
 from tests.model.robots.rovers import FRONT, REAR, Axle, at, derived, rover
 from tests.rooms import Everywhere
 
-from momapos.apps.export.phases import PhaseKind, phases_of
+from momapos.apps.export.timeline import PhaseKind, phases_of
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
@@ -24,7 +24,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.query import PlacementQuery
-from momapos.verification.base_path_checks import wheel_checks
+from momapos.verification.path_checks import wheel_checks
 from momapos.verification.plan_check import verify_files
 from momapos.workflows.run import run_plan
 

@@ -13,11 +13,11 @@ from tests.rooms import Everywhere
 from tests.workflows.guessed_rooms import BLOCKS_ONE, BLOCKS_TWO, Odds, room
 
 from momapos.apps.cli.console import summary
-from momapos.apps.cli.plan_sources import open_plan
+from momapos.apps.cli.loading import open_plan
 from momapos.core.errors import TaskError
 from momapos.core.geometry.transforms import apply
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

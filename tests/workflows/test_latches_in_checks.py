@@ -8,8 +8,8 @@ import pytest
 from tests.cupboards import latched_room
 
 from momapos.apps.cli.main import main
-from momapos.workflows.scene_check.joints import joint_reports
-from momapos.workflows.scene_check.report_text import joint_lines
+from momapos.workflows.scene_check.checks import joint_reports
+from momapos.workflows.scene_check.report import joint_lines
 
 
 def test_a_scene_check_names_the_latch_at_both_joints(tmp_path: Path) -> None:

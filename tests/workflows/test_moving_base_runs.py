@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.moving_base import arc, on_moving_base
 
-from momapos.core.geometry.planar import compose, local_points
+from momapos.core.geometry.transforms import compose, local_points
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
@@ -20,7 +20,7 @@ from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.navigation.footprint_map import build_navigation_map
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
@@ -28,8 +28,7 @@ from momapos.planning.reachability.reach_map import ReachMap
 from momapos.simulation.config import ExecutionConfig
 from momapos.verification.exact_check import PlanVerifier
 from momapos.workflows.joint_belief import JointBeliefs
-from momapos.workflows.moved_motion import motion_from
-from momapos.workflows.replanning import MIN_POSE_DISTANCE, Replanner
+from momapos.workflows.replanning import MIN_POSE_DISTANCE, Replanner, motion_from
 from momapos.workflows.run import run_plan
 
 

@@ -9,21 +9,19 @@ import pytest
 from tests.rooms import Everywhere
 
 from momapos.core.geometry.transforms import apply, rotation_angle, rotation_of
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.resistances import JointResistance
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import JointResistance, PlacementPlan, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
-from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.task_setup import NO_OTHER_GRASP
 from momapos.simulation.config import ExecutionConfig
 from momapos.simulation.joint_estimate import Axis, LearnedPart
 from momapos.simulation.simulation import Simulation
-from momapos.workflows.recovery import (
+from momapos.workflows.replanning import (
     MIN_GRASP_ANGLE,
     MIN_GRASP_DISTANCE,
     arm_home_path,

@@ -17,10 +17,9 @@ from tests.urdf_parts import mobile_manipulator
 
 from momapos.apps.cli.main import main
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated

@@ -11,7 +11,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.navigation.drive_record import DriveRecord
+from momapos.planning.navigation.driving import DriveRecord
 from momapos.planning.navigation.footprint_map import build_navigation_map
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.result import PlacementResult

@@ -12,9 +12,9 @@ import pytest
 from tests.urdf_parts import dual_armed, mobile_manipulator
 
 from momapos.apps.cli.robot import robot_check
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_tests import RobotTest, examine_at_rest
-from momapos.model.robots.robot_writer import write_robot
 from momapos.workflows.robot_self_test import self_test
 
 

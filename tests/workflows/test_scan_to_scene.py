@@ -17,8 +17,9 @@ from momapos.apps.schemas.generate import schema_of
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
 from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
 from momapos.core.errors import InputError, UnknownNameError
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.model.records.plans import Task
 from momapos.model.records.scans import (
     Cloud,
     FaceImage,
@@ -29,7 +30,6 @@ from momapos.model.records.scans import (
     PartKind,
     Scan,
 )
-from momapos.model.records.tasks import Task
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.fusion.tsdf import fuse
@@ -37,7 +37,7 @@ from momapos.perception.modeling import decide
 from momapos.perception.pipeline import model_room, survey
 from momapos.perception.reconstruction.front_network import FrontNetwork
 from momapos.perception.reconstruction.scene_builder import GivenModel
-from momapos.perception.reconstruction.templates import TemplatePredictor
+from momapos.perception.reconstruction.usual_kinds import TemplatePredictor
 from momapos.perception.recordings.scan_reader import read_scan
 from momapos.perception.records import Modeled, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.pointing import PointAt
@@ -49,8 +49,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import Method
 from momapos.planning.result import PlacementResult
 from momapos.workflows.joint_belief import plan_by_hypothesis
-from momapos.workflows.scan import rank_survey, scan_to_scene
-from momapos.workflows.solve import ScanTask, solve_scan
+from momapos.workflows.solve import ScanTask, rank_survey, scan_to_scene, solve_scan
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +157,7 @@ def test_an_appliance_front_without_depth_is_completed_and_reported(
 @pytest.fixture
 def surveyed(seen: Survey, monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the survey that exists, whatever is scanned."""
-    monkeypatch.setattr("momapos.workflows.scan.survey", lambda *_, **__: seen)
+    monkeypatch.setattr("momapos.workflows.solve.survey", lambda *_, **__: seen)
 
 
 @pytest.mark.usefixtures("surveyed")

@@ -18,8 +18,15 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.workflows.scene_check.checks import check_scene
-from momapos.workflows.scene_check.report import Finding, FindingKind, SceneReport, Severity
-from momapos.workflows.scene_check.report_text import finding_lines, report_lines, report_to_dict
+from momapos.workflows.scene_check.report import (
+    Finding,
+    FindingKind,
+    SceneReport,
+    Severity,
+    finding_lines,
+    report_lines,
+    report_to_dict,
+)
 
 FLOOR = np.array([[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]])
 ROBOT = load_robot("fetch")

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import FileFormatError
-from .files import read_bytes_bounded
-from .temporary import write_atomic
+from .files import read_bytes_bounded, write_atomic
 
 log = logging.getLogger(__name__)
 MAX_ENTRY_BYTES = 500_000_000

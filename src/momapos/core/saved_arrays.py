@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import FileFormatError
-from .files import open_regular
-from .torch_files import MAX_BYTES, check_archive
+from .files import MAX_BYTES, check_archive, open_regular
 
 if TYPE_CHECKING:
     from jaxtyping import Shaped

@@ -1,11 +1,11 @@
-from .base_limits import limited_base_path as limited_base_path
-from .close_states import deviation as deviation
-from .close_states import with_close_states as with_close_states
-from .time_law import Trajectory as Trajectory
 from .trajectory import DEFAULT as DEFAULT
 from .trajectory import SpeedConfig as SpeedConfig
 from .trajectory import TimedTrajectory as TimedTrajectory
+from .trajectory import Trajectory as Trajectory
+from .trajectory import deviation as deviation
+from .trajectory import limited_base_path as limited_base_path
 from .trajectory import time_motion as time_motion
 from .trajectory import time_path as time_path
 from .trajectory import time_plan as time_plan
+from .trajectory import with_close_states as with_close_states
 from .trajectory import with_times as with_times

@@ -1,13 +1,32 @@
-"""Time-parameterize paths of arm and base within limits of speed and acceleration."""
+"""Time-parameterize paths of arm and base within limits of speed, acceleration and jerk.
+
+toppra imports matplotlib for its own plots, which takes longer than the rest of its import and a
+third of a short command. A stand-in imports matplotlib when a plot needs it.
+
+TOPP-RA (Pham and Pham, 2018) finds the fastest motion within the limits of speed and acceleration;
+its acceleration jumps. The mean of its position over a moving window of time has the same path and
+a continuous acceleration (Biagiotti and Melchiorri, FIR filters for online trajectory planning with
+time- and frequency-domain specifications, Control Engineering Practice, 2012). What then exceeds a
+limit, because the motion is elsewhere on its path, is slowed down as a whole.
+
+Straight motions between the states are what is planned and checked. What is executed is a smooth
+curve through the states (see `trajectory`), which leaves them where the path bends.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import logging
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,15 +40,420 @@ from momapos.core import (
     refuse_below,
     write_atomic,
 )
-from momapos.model.records import Motion, PlacementPlan, Verb
-from momapos.model.robots import Robot
 
-from .base_limits import BasePath, limited_base_path
-from .close_states import corners
-from .time_law import Limits, Trajectory, time_piece
+from .records import Motion, PlacementPlan, Verb
+from .robots import Robot
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
+
+
+_FOR_PLOTS = ("matplotlib", "matplotlib.pyplot")
+
+
+class _Later(ModuleType):
+    """Imports a module when it is used."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        _forget(self)
+        return getattr(import_module(self.__name__), name)
+
+
+def _forget(module: _Later) -> None:
+    """Let the next import find the real module."""
+    if sys.modules.get(module.__name__) is module:
+        del sys.modules[module.__name__]
+
+
+@cache
+def import_toppra() -> Any:
+    """Return the module toppra."""
+    waiting = [_Later(name) for name in _FOR_PLOTS if name not in sys.modules]
+    sys.modules.update({module.__name__: module for module in waiting})
+    try:
+        return import_module("toppra")
+    finally:
+        for module in waiting:
+            _forget(module)
+
+
+WINDOW = 0.06
+"""Shortest time over which the position is averaged [s]: three samples of a controller at 50 Hz."""
+_MAX_WINDOW = 1.0
+"""Longest such time; a small jerk limit then slows the whole motion [s]."""
+_NO_LIMIT = 1e3
+"""A finite number in place of infinity [m/s] or [m/s^2]."""
+_MIN_GRID_POINTS = 400
+"""Smallest number of points per piece at which the limits hold [-]."""
+_CHECK_STEP = 0.004
+"""Longest time between the samples at which the limits are checked [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Samples at equal time steps; the first and last are at rest."""
+
+    q: Float[np.ndarray, "t n"]
+    v: Float[np.ndarray, "t n"]
+    a: Float[np.ndarray, "t n"]
+    state_times: Float[np.ndarray, " m"]
+    """Time at which each state of the path is passed, from the first sample [s]."""
+    base: Float[np.ndarray, "t 3"] | None = None
+    """x [m], y [m], yaw [rad] of the base; None if it stands still."""
+    base_v: Float[np.ndarray, "t 3"] | None = None
+    """Velocity of the base in the world [m/s], [m/s], [rad/s]."""
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of each coordinate of a path; infinite where there is none."""
+
+    speed: Float[np.ndarray, " c"]
+    acceleration: Float[np.ndarray, " c"]
+    jerk: Float[np.ndarray, " c"]
+
+    @classmethod
+    def join(cls, parts: Sequence[MotionLimits]) -> MotionLimits:
+        """Concatenate the limits of several sets of coordinates."""
+        names = ("speed", "acceleration", "jerk")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def take(self, which: Any) -> MotionLimits:
+        """Return the limits of some coordinates."""
+        return MotionLimits(self.speed[which], self.acceleration[which], self.jerk[which])
+
+
+def time_piece(
+    path: Float[np.ndarray, "m c"], s: Float[np.ndarray, " m"], limits: MotionLimits, step: float
+) -> Trajectory:
+    """Time a smooth piece of a path, a cubic spline through its states.
+
+    Args:
+        path: States, close together [rad] or [m].
+        s: Increasing positions of the states along the path, from 0.
+        limits: Of each coordinate.
+        step: Time between samples [s].
+
+    Raises:
+        InputError: The limits cannot be met.
+    """
+    toppra = import_toppra()
+    logging.getLogger("toppra").setLevel(logging.ERROR)
+    spline = toppra.SplineInterpolator(s, path)
+    profile = _Profile.fastest(spline, s, limits)
+    window = _window(spline, profile, limits)
+    end = profile.duration + window
+    fine = np.linspace(0.0, end, max(100, int(np.ceil(end / _CHECK_STEP))) + 1)
+    passed = np.interp(s, np.maximum.accumulate(profile.averaged(fine, window)[0]), fine)
+    passed[-1] = end
+    # The acceleration of a cubic spline is largest near its knots.
+    checked = profile.averaged(np.concatenate([fine, passed]), window)
+    # A whole number of steps, so that the last sample is at the end.
+    count = max(1, int(np.ceil(end * _slowdown(spline, checked, limits) / step - 1e-9)))
+    factor = end / (count * step)
+    q, v, a, _ = _derivatives(spline, profile.averaged(np.linspace(0.0, end, count + 1), window))
+    v[[0, -1]] = a[[0, -1]] = 0.0
+    return Trajectory(q, factor * v, factor**2 * a, passed / factor)
+
+
+def _window(spline: Any, profile: _Profile, limits: MotionLimits) -> float:
+    """Return the time over which to average the position, so that the jerk keeps its limits [s].
+
+    Over a window w an acceleration changes from one extreme a to the other: a jerk of 2 a / w.
+    """
+    _, *along = profile.at(profile.times)
+    _, _, acceleration, _ = _derivatives(spline, (*along, np.zeros(len(profile.times))))
+    needed = 2.0 * np.abs(acceleration).max(0) / limits.jerk
+    return float(np.clip(needed.max(), WINDOW, _MAX_WINDOW))
+
+
+def _slowdown(
+    spline: Any, along: tuple[Float[np.ndarray, " t"], ...], limits: MotionLimits
+) -> float:
+    """Return the factor on the duration with which a motion keeps all limits."""
+    _, *rates = _derivatives(spline, along)
+    bounds = limits.speed, limits.acceleration, limits.jerk
+    excess = [(np.abs(x).max(0) / bound).max() for x, bound in zip(rates, bounds, strict=True)]
+    return float(max(1.0, *(x ** (1.0 / (k + 1)) for k, x in enumerate(excess))))
+
+
+def _derivatives(
+    spline: Any, along: tuple[Float[np.ndarray, " t"], ...]
+) -> tuple[Float[np.ndarray, "t c"], ...]:
+    """Return position, speed, acceleration and jerk of the coordinates by time.
+
+    Args:
+        spline: The path.
+        along: Position along the path and its three derivatives by time.
+    """
+    s, v, a, j = along
+    q, dq, ddq, dddq = (spline.cspl(s, order) for order in range(4))
+    v, a, j = v[:, None], a[:, None], j[:, None]
+    return q, dq * v, ddq * v**2 + dq * a, dddq * v**3 + 3.0 * ddq * v * a + dq * j
+
+
+@dataclass(frozen=True, eq=False)
+class _Profile:
+    """Motion along a path at constant acceleration between times, from rest to rest."""
+
+    times: Float[np.ndarray, " g"]
+    position: Float[np.ndarray, " g"]
+    speed: Float[np.ndarray, " g"]
+    acceleration: Float[np.ndarray, " g_minus_1"]
+    integral: Float[np.ndarray, " g"]
+    """Integral of the position over time."""
+
+    @classmethod
+    def fastest(cls, spline: Any, s: Float[np.ndarray, " m"], limits: MotionLimits) -> _Profile:
+        """Return the fastest motion within the limits of speed and acceleration."""
+        toppra = import_toppra()
+        grid = np.linspace(s[0], s[-1], max(_MIN_GRID_POINTS, 2 * len(s)))
+        bounds = [np.minimum(limit, _NO_LIMIT) for limit in (limits.speed, limits.acceleration)]
+        kept = [
+            toppra.constraint.JointVelocityConstraint(np.stack([-bounds[0], bounds[0]], 1)),
+            toppra.constraint.JointAccelerationConstraint(np.stack([-bounds[1], bounds[1]], 1)),
+        ]
+        solver = toppra.algorithm.TOPPRA(kept, spline, grid, parametrizer="ParametrizeConstAccel")
+        if solver.compute_trajectory(0.0, 0.0) is None:
+            raise InputError("no trajectory along the motion meets the joints' limits")
+        speed = np.array(solver.problem_data.sd_vec)
+        spans = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
+        times = np.append(0.0, np.cumsum(spans))
+        acceleration = np.diff(speed) / spans
+        areas = grid[:-1] * spans + speed[:-1] * spans**2 / 2 + acceleration * spans**3 / 6
+        return cls(times, grid, speed, acceleration, np.append(0.0, np.cumsum(areas)))
+
+    @property
+    def duration(self) -> float:
+        """Return the time at the end [s]."""
+        return float(self.times[-1])
+
+    def averaged(
+        self, t: Float[np.ndarray, " t"], window: float
+    ) -> tuple[Float[np.ndarray, " t"], ...]:
+        """Return the mean position over the window before each time, and three derivatives."""
+        now, before = self.at(t), self.at(t - window)
+        return tuple((x - y) / window for x, y in zip(now, before, strict=True))
+
+    def at(self, t: Float[np.ndarray, " t"]) -> tuple[Float[np.ndarray, " t"], ...]:
+        """Return integral, position, speed and acceleration; it rests before and after."""
+        i = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        inside = np.clip(t, 0.0, self.duration)
+        x, a = inside - self.times[i], self.acceleration[i]
+        moving = (t >= 0.0) & (t < self.duration)
+        position = self.position[i] + self.speed[i] * x + a * x**2 / 2
+        area = self.integral[i] + self.position[i] * x + self.speed[i] * x**2 / 2 + a * x**3 / 6
+        area = area + np.maximum(t - self.duration, 0.0) * self.position[-1]
+        return (
+            area, position, np.where(moving, self.speed[i] + a * x, 0.0), np.where(moving, a, 0.0)
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class BasePath:
+    """Base poses at the states of an arm path, and the limits of the base."""
+
+    poses: Float[np.ndarray, "m 3"]
+    """x [m], y [m], yaw [rad], without jumps of a turn."""
+    speed: Float[np.ndarray, "3"]
+    """Speed limits of x, y and yaw; that of x holds for the norm of x and y, too."""
+    acceleration: Float[np.ndarray, "3"]
+    """Acceleration limits of x, y and yaw."""
+
+
+def limited_base_path(robot: Robot, poses: Float[np.ndarray, "m 3"], share: float) -> BasePath:
+    """Return a base path with the limits of a robot.
+
+    Args:
+        robot: The robot.
+        poses: x [m], y [m], yaw [rad], without jumps of a turn.
+        share: Share of the base's speed limits used [-].
+    """
+    apart = robot.max_acceleration / np.sqrt(2.0)  # in x and in y, so that both together keep it
+    return BasePath(
+        poses,
+        share * np.array([robot.max_speed, robot.max_speed, robot.max_yaw_rate]),
+        np.array([apart, apart, robot.max_yaw_acceleration]),
+    )
+
+
+MAX_CORNER_ANGLE = np.radians(20.0)
+"""The arm stops where its path turns by more than this in joint space [rad]."""
+MAX_DEVIATION = 0.001
+"""How far the executed curve may leave the straight motions between states, about [rad] or [m]: the
+tip of an arm of one meter then does by a millimeter, a third of what the exact check tolerates as
+overlap."""
+MAX_PIECES = 8
+"""Largest number of intervals into which one is divided [-]."""
+_SAME = 1e-9
+"""Nearer states count as equal [rad] or [m]."""
+_AT = np.array([0.25, 0.5, 0.75])
+"""Where the deviation is measured, as a share of an interval [-]."""
+
+ToolPoses = Callable[["Float[np.ndarray, 'm n']", "Float[np.ndarray, 'm 3'] | None"], np.ndarray]
+"""Returns the tool's poses in the world (m, 4, 4) at states of the joints and of a moving base."""
+
+
+def corners(q: Float[np.ndarray, "m n"]) -> Bool[np.ndarray, " m"]:
+    """Return which states, no two of them equal, are corners or ends of the path."""
+    steps = np.diff(q, axis=0)
+    unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    cosine = np.einsum("ij,ij->i", unit[:-1], unit[1:])
+    return np.concatenate([[True], cosine < np.cos(MAX_CORNER_ANGLE), [True]])
+
+
+def deviation(q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " k"]:
+    """Return by how much the executed curve leaves the straight motion in each interval.
+
+    The largest of all joints counts [rad] or [m].
+    """
+    if len(q) < 3:
+        return np.zeros(max(len(q) - 1, 0))
+    s, slopes = _parameters(q)
+    bends = _bends(q, s, slopes)
+    return np.abs(np.stack([_off(bends, t) for t in _AT])).max((0, 2), initial=0.0)
+
+
+def with_close_states(motion: Motion, tool_poses: ToolPoses) -> Motion:
+    """Add states to the manipulation, on the curve that is executed, see `MAX_DEVIATION`.
+
+    Args:
+        motion: A motion without times.
+        tool_poses: Returns the tool's poses at states.
+    """
+    q = motion.q if motion.base is None else np.column_stack([motion.q, motion.base])
+    if len(q) < 3:
+        return motion
+    pieces = np.ceil(np.sqrt(deviation(q) / MAX_DEVIATION) - 1e-9)
+    pieces = np.clip(pieces, 1, MAX_PIECES).astype(np.int64)
+    if (pieces == 1).all():
+        return motion
+    (s, slopes), n = _parameters(q), motion.q.shape[1]
+    # A joint that turns back does so at its limit at the most.
+    states = np.clip(_between(q, _bends(q, s, slopes), pieces), q.min(0), q.max(0))
+    base = None if motion.base is None else states[:, n:]
+
+    def along(values: Float[np.ndarray, " m"]) -> Float[np.ndarray, " k"]:
+        column = values[:, None]
+        return _between(column, _bends(column, s, _monotone(column, s)), pieces)[:, 0]
+
+    new = np.append(0, np.cumsum(pieces))
+    Ts = tool_poses(states[:, :n], base)
+    Ts[new] = motion.Ts_world_tool
+    return replace(
+        motion,
+        q=states[:, :n],
+        base=base,
+        object_q=along(motion.object_q),
+        latch_q=None if motion.latch_q is None else along(motion.latch_q),
+        Ts_world_tool=Ts,
+        holds=tuple(
+            replace(one, first=int(new[one.first]), last=int(new[one.last])) for one in motion.holds
+        ),
+    )
+
+
+def _parameters(
+    q: Float[np.ndarray, "m n"],
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "2 k n"]]:
+    """Return the states' positions along the path, and slopes at both ends of each interval.
+
+    The slope at a state is that of the parabola through it and its neighbors. Next to a corner or
+    end, where the arm rests, the parabola is that of the neighbor.
+    """
+    lengths = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    s = np.append(0.0, np.cumsum(lengths))
+    slopes = np.stack([_secants(q, s)] * 2)
+    moved = np.flatnonzero(np.append(True, lengths > _SAME))
+    if len(moved) < 3:
+        return s, slopes
+    kept = q[moved]
+    h = np.diff(s[moved])
+    m = np.diff(kept, axis=0) / h[:, None]
+    inner = (h[1:, None] * m[:-1] + h[:-1, None] * m[1:]) / (h[:-1] + h[1:])[:, None]
+    stops = corners(kept)[:, None]
+    slopes[:, moved[1:] - 1] = _next_to_ends(m, inner, stops[:-1], stops[1:])
+    return s, slopes
+
+
+def _next_to_ends(
+    m: Float[np.ndarray, "k c"],
+    inner: Float[np.ndarray, "k_minus_1 c"],
+    starts: Bool[np.ndarray, "k #c"],
+    ends: Bool[np.ndarray, "k #c"],
+) -> Float[np.ndarray, "2 k c"]:
+    """Return slopes at both ends of each interval, given those at the states between two.
+
+    An interval that starts or ends the curve has one parabola: that of its other end.
+    """
+    begin, end = np.concatenate([m[:1], inner]), np.concatenate([inner, m[-1:]])
+    alone = starts & ends
+    return np.stack([
+        np.where(starts, np.where(alone, m, 2.0 * m - end), begin),
+        np.where(ends, np.where(alone, m, 2.0 * m - begin), end),
+    ])  # fmt: skip
+
+
+def _monotone(
+    values: Float[np.ndarray, "m c"], s: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "2 k c"]:
+    """Return slopes with which the curve turns back only where the values do.
+
+    They are those of parabolas, as in `_parameters`, up to three times those of the straight
+    motions. Between a rest and a motion the slope jumps. Source: Fritsch and Carlson, Monotone
+    Piecewise Cubic Interpolation, SIAM J. Numer. Anal. 17 (1980).
+    """
+    m, h = _secants(values, s), np.diff(s)[:, None]
+    if len(m) < 2:
+        return np.stack([m, m])
+    a, b = m[:-1], m[1:]
+    inner = (h[1:] * a + h[:-1] * b) / np.maximum(h[1:] + h[:-1], _SAME)
+    turns = a * b <= 0.0
+    starts, ends = (np.pad(turns, (one, (0, 0)), constant_values=True) for one in ((1, 0), (0, 1)))
+    slopes = _next_to_ends(m, inner, starts, ends)
+    return np.clip(slopes, np.minimum(0.0, 3.0 * m), np.maximum(0.0, 3.0 * m))
+
+
+def _secants(
+    values: Float[np.ndarray, "m c"], s: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "k c"]:
+    h = np.diff(s)[:, None]
+    return np.where(h > _SAME, np.diff(values, axis=0) / np.maximum(h, _SAME), 0.0)
+
+
+def _bends(
+    values: Float[np.ndarray, "m c"], s: Float[np.ndarray, " m"], slopes: Float[np.ndarray, "2 k c"]
+) -> Float[np.ndarray, "2 k c"]:
+    """Return the slopes relative to the straight motion, times the length of the interval."""
+    return (
+        (slopes - _secants(values, s)) * np.diff(s)[:, None] * np.array([1.0, -1.0])[:, None, None]
+    )
+
+
+def _off(
+    bends: Float[np.ndarray, "2 k c"], t: float | Float[np.ndarray, "k 1"]
+) -> Float[np.ndarray, "k c"]:
+    """Return how far cubic curves are from the straight motions, at a share of each interval."""
+    return np.asarray(t * (1.0 - t) * ((1.0 - t) * bends[0] + t * bends[1]))
+
+
+def _between(
+    values: Float[np.ndarray, "m c"],
+    bends: Float[np.ndarray, "2 k c"],
+    pieces: Int[np.ndarray, " k"],
+) -> Float[np.ndarray, "r c"]:
+    """Return the values on the curve with each interval divided into pieces."""
+    row = np.repeat(np.arange(len(pieces)), pieces)
+    within = np.arange(len(row)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    t = (within / pieces[row])[:, None]
+    out = values[row] + t * (values[row + 1] - values[row]) + _off(bends[:, row], t)
+    return np.vstack([out, values[-1:]])
+
 
 MIN_STEP = 1e-4
 """Shortest time between samples; a plan of one minute then has 600,000 [s]."""
@@ -235,7 +659,7 @@ def time_path(
 
     Between corners, the path is a cubic spline through its states. The arm stops at corners; the
     planner rounds them where there is room, and its states are so close together that the spline
-    leaves the straight motions between them, which are checked, by `close_states.MAX_DEVIATION`.
+    leaves the straight motions between them, which are checked, by `MAX_DEVIATION`.
 
     Args:
         q: States [rad] or [m].
@@ -252,10 +676,10 @@ def time_path(
         InputError: The limits cannot be met, or a state is not finite.
     """
     n = q.shape[1]
-    limits = [Limits(speed, acceleration, np.full(n, np.inf) if jerk is None else jerk)]
+    limits = [MotionLimits(speed, acceleration, np.full(n, np.inf) if jerk is None else jerk)]
     if base is not None:
         q = np.column_stack([q, base.poses])
-        limits.append(Limits(base.speed, base.acceleration, np.full(3, np.inf)))
+        limits.append(MotionLimits(base.speed, base.acceleration, np.full(3, np.inf)))
     if not np.isfinite(q).all():
         raise InputError("the motion contains NaN or infinity")
     keep = np.append(True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > _MIN_STATE_DISTANCE)
@@ -269,11 +693,11 @@ def time_path(
         columns += [_along(tool[keep])[:, None], tool[keep]]
         most = tool_acceleration
         bounds = np.array([[tool_speed, *[np.inf] * 3], [np.inf, most, most, most], [np.inf] * 4])
-        limits.append(Limits(*bounds))
+        limits.append(MotionLimits(*bounds))
     if base is not None:  # the norm of x and y
         columns.append(_along(q[:, n : n + 2])[:, None])
-        limits.append(Limits(base.speed[:1], *np.full((2, 1), np.inf)))
-    whole, bound = np.column_stack(columns), Limits.join(limits)
+        limits.append(MotionLimits(base.speed[:1], *np.full((2, 1), np.inf)))
+    whole, bound = np.column_stack(columns), MotionLimits.join(limits)
     pieces = [
         _piece(whole[first : last + 1], q.shape[1], bound, step)
         for first, last in pairwise(np.flatnonzero(corners(q)))
@@ -297,7 +721,7 @@ def _along(points: Float[np.ndarray, "m d"]) -> Float[np.ndarray, " m"]:
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-def _piece(path: Float[np.ndarray, "m c"], n: int, limits: Limits, step: float) -> Trajectory:
+def _piece(path: Float[np.ndarray, "m c"], n: int, limits: MotionLimits, step: float) -> Trajectory:
     """Time a smooth piece from rest to rest.
 
     The first n coordinates are joints. The others only impose limits, if finite and if they move.

@@ -1,5 +1,5 @@
-from .photo import Photo as Photo
-from .photo import model_photo as model_photo
+from .modeling import Photo as Photo
+from .modeling import model_photo as model_photo
 from .pipeline import default_tools as default_tools
 from .pipeline import model_room as model_room
 from .pipeline import name_of as name_of

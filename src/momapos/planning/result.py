@@ -131,7 +131,7 @@ class PlacementResult:
             MissingExtraError: viser is not installed.
         """
         with require("view"):
-            page = import_module("momapos.apps.web.notebook_page")
+            page = import_module("momapos.apps.web.static")
         page.show(self)
 
 

@@ -30,13 +30,11 @@ from .config import (
     FurnitureConfig,
     Stage,
 )
-from .dynamics import read_dynamics
-from .execute import believed_joint, cuts_of, section_of
+from .execute import believed_joint, cuts_of, is_of_one_object, judge, section_of
 from .execution_run import ExecutionRun, Watch
+from .robot_dynamics import find_hand, read_dynamics
 from .run_record import Collision, Execution, RunRecord, Visit
-from .simulated_hand import find_hand
 from .stages import grasp_here
-from .verdict import is_of_one_object, judge
 from .worlds import WorldSetup, draw_worlds
 
 if TYPE_CHECKING:

@@ -1,23 +1,34 @@
-"""State of a run in physics, and the elementary actions of the robot in it."""
+"""State of a run in physics, the elementary actions of the robot in it, and what it observes.
+
+The simulated base cannot leave the floor. The force and torque that hold it there tell where the
+floor's reaction would act: the zero moment point (Vukobratovic 1972), accelerations included.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
-from momapos.core import SceneError
-from momapos.core.geometry import invert
+from momapos.core import GRAVITY, SceneError
+from momapos.core.geometry import contains, edge_distances, invert, local_points, rotation_angle
 from momapos.model import Trajectory
 from momapos.model.records import Hold, Motion, Task
 from momapos.model.scene import SceneObject
 
-from .approach import PacedTrajectory
-from .arm_control import EVERYWHERE, CompliantArm, Reference
-from .avoidance import CollisionAvoidance
+from .arm_control import (
+    EVERYWHERE,
+    CollisionAvoidance,
+    CompliantArm,
+    PacedTrajectory,
+    Reference,
+    SensedForces,
+    sense_forces,
+)
 from .base_drive import BaseDrive, base_coordinates
 from .config import (
     BANDWIDTH,
@@ -33,18 +44,286 @@ from .config import (
     ExecutionConfig,
     Stage,
 )
-from .feel import sense_forces
-from .geoms import ROBOT, matrix_quat
+from .geoms import ROBOT, Kind, matrix_quat
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
-from .observer import Observer
-from .payload import Payload
-from .run_record import Collision
+from .run_record import Collision, Load, Slip, Tracking
 from .simulated_room import Seal
 from .simulation import Simulation
-from .tipping import Tipping
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+class Payload:
+    """Weight of a movable object in the hand, and its line of action.
+
+    The downward force at the wrist counts as weight, through a slow filter: a sudden push acts on
+    the arm first. A lasting push would count as weight, but a support only ever reduces it.
+    """
+
+    def __init__(self, filter_time: float, step: float) -> None:
+        """`filter_time` is the time constant of the weight's low-pass filter [s]."""
+        self._share = step / (filter_time + step)
+        self._felt, self._carried = np.zeros(6), False
+
+    def remove_weight(self, touch: SensedForces, *, carried: bool) -> SensedForces:
+        """Update the estimate and subtract the weight from the sensed forces.
+
+        Args:
+            touch: The sensed forces.
+            carried: Whether the hand holds a movable object.
+        """
+        self._carried = carried
+        if not carried:
+            self._felt = np.zeros(6)
+            return touch
+        wrench = np.concatenate([touch.force, touch.torque])
+        self._felt += self._share * (wrench - self._felt)
+        weight = self.weight
+        return replace(touch, force=touch.force - weight[:3], torque=touch.torque - weight[3:])
+
+    @property
+    def weight(self) -> Float[np.ndarray, "6"]:
+        """Force [N] and torque about the tool's origin [Nm] of the weight, in the world."""
+        down = np.zeros(6)
+        if self._felt[2] < 0.0:
+            down[2:] = self._felt[2:]
+        return down
+
+    def lead(self, world: Simulation) -> Float[np.ndarray, " n"]:
+        """Return the lead of the motors' set-points that bears the weight [rad] or [m]."""
+        if not self._carried:
+            return np.zeros(len(world.arm_v))
+        J = np.zeros((6, world.model.nv))
+        mujoco.mj_jacBody(world.model, world.data, J[:3], J[3:], world.tool_body)
+        load = self.weight @ J[:, world.arm_v]
+        return np.asarray(-load / world.model.actuator_gainprm[world.arm_motor, 0])
+
+
+_MAX_JOINT_SPEED = 1e4
+"""Joint speed above which the simulation has diverged [rad/s] or [m/s]."""
+_HELD = Kind.PAD | Kind.PART
+_RESTS = (Kind.PART | Kind.ROOM, Kind.PART | Kind.FLOOR)
+_ROBOT_ROOM = np.array([kind | Kind.ROOM for kind in ROBOT])
+
+
+@dataclass(eq=False)
+class Observer:
+    """Observations of a run so far."""
+
+    world: Simulation
+    config: ExecutionConfig
+    collisions: dict[tuple[str, str], Collision] = field(default_factory=dict)
+    reaching: bool = True
+    """Whether the hand is on its way to the grasp; afterwards contacts of the pads are normal."""
+    clearance: float = np.inf
+    slip: Slip = field(default_factory=Slip)
+    load: Load = field(default_factory=Load)
+    base_shift: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    _T_part_tool: Float[np.ndarray, "4 4"] | None = None
+    _worst: float = 0.0
+    _squares: float = 0.0
+    _samples: int = 0
+    _effort: float = 0.0
+
+    def __post_init__(self) -> None:
+        limits = self.world.model.jnt_actfrcrange
+        joints = self.world.model.actuator_trnid[self.world.arm_motor, 0]
+        self._limit = np.where(limits[joints, 1] > 0, limits[joints, 1], np.inf)
+        joint = self.world.model.body_jntadr[self.world.part_body]
+        self._loose = self.world.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the state is not finite, or its speed is implausible."""
+        data = self.world.data
+        return not (np.abs(data.qvel).max() < _MAX_JOINT_SPEED and np.isfinite(data.qpos.sum()))
+
+    @property
+    def tracking(self) -> Tracking:
+        """Tracking errors of the motors."""
+        rms = float(np.sqrt(self._squares / max(self._samples, 1)))
+        return Tracking(self._worst, rms, self._effort)
+
+    def hold(self) -> None:
+        """Start measuring slip, and accept contacts between pads and part."""
+        self.reaching = False
+        self._T_part_tool = invert(self.world.T_world_part) @ self.world.T_world_tool
+
+    def let_go(self) -> None:
+        """Stop measuring slip."""
+        self._T_part_tool = None
+
+    def record_step(
+        self,
+        wanted: Float[np.ndarray, " n"],
+        base: Float[np.ndarray, "3"],
+        time: float,
+        stage: str,
+        touch: SensedForces,
+    ) -> None:
+        """Record the present state.
+
+        Args:
+            wanted: Set-points of the arm [rad] or [m].
+            base: Set-points of the base's joints.
+            time: Time since the start of the run [s].
+            stage: Stage of the run.
+            touch: Forces on the hand.
+        """
+        data, world = self.world.data, self.world
+        error = np.abs(data.qpos[world.arm_q] - wanted)
+        self._worst = max(self._worst, float(error.max()))
+        self._squares += float((error**2).mean())
+        self._samples += 1
+        effort = np.abs(data.qfrc_actuator[world.arm_v]) / self._limit
+        self._effort = max(self._effort, float(effort.max()))
+        self.base_shift = np.maximum(self.base_shift, np.abs(data.qpos[world.base_q] - base))
+        if data.ncon:
+            self._note_contacts(time, stage)
+        if self._T_part_tool is not None:
+            self._note_hold(self._T_part_tool, touch)
+
+    def _note_hold(self, T_before: Float[np.ndarray, "4 4"], touch: SensedForces) -> None:
+        T = invert(self.world.T_world_part) @ self.world.T_world_tool
+        moved = float(np.linalg.norm(T[:3, 3] - T_before[:3, 3]))
+        angle = float(rotation_angle(T_before[:3, :3], T[:3, :3]))
+        self.slip = Slip(max(self.slip.position, moved), max(self.slip.angle, angle))
+        force, torque = touch.size
+        self.load = Load(max(self.load.force, force), max(self.load.torque, torque))
+
+    def _note_contacts(self, time: float, stage: str) -> None:
+        """Record contacts with a force as collisions, and the others as clearance."""
+        contact, kinds = self.world.data.contact, self.world.kinds
+        geoms, dist = contact.geom, contact.dist
+        both = kinds[geoms[:, 0]] | kinds[geoms[:, 1]]
+        room = (both[:, None] == _ROBOT_ROOM).any(1)
+        self.clearance = min(self.clearance, float(dist[room].min(initial=np.inf)))
+        pushing = (contact.efc_address >= 0) & (self.reaching | (both != _HELD))
+        if self._loose:  # it may rest on the room and the floor
+            pushing &= (both != _RESTS[0]) & (both != _RESTS[1])
+        if not pushing.any():
+            return
+        touched: dict[tuple[str, str], tuple[float, float]] = {}
+        wrench = np.empty(6)
+        for i in np.flatnonzero(pushing).tolist():
+            mujoco.mj_contactForce(self.world.model, self.world.data, i, wrench)
+            names = sorted(self.world.names[g] for g in geoms[i])
+            force, depth = touched.get((names[0], names[1]), (0.0, 0.0))
+            touched[names[0], names[1]] = (force + float(wrench[0]), max(depth, -float(dist[i])))
+        for pair, (force, depth) in touched.items():
+            self._note_collision(pair, force, depth, time, stage)
+
+    def _note_collision(
+        self, pair: tuple[str, str], force: float, depth: float, time: float, stage: str
+    ) -> None:
+        seen = self.collisions.get(pair)
+        if seen is None:
+            seen = Collision(*pair, force=0.0, depth=0.0, seconds=0.0, first=time, stage=stage)
+        self.collisions[pair] = replace(
+            seen,
+            force=max(seen.force, force),
+            depth=max(seen.depth, depth),
+            seconds=seen.seconds + self.config.timestep * SUBSTEPS,
+        )
+
+    def hardest(self) -> tuple[Collision, ...]:
+        """Return all collisions, the hardest first."""
+        return tuple(sorted(self.collisions.values(), key=lambda c: -c.force))
+
+
+MAX_TILT = math.radians(1.0)
+"""Tilt at which a base counts as tipped over [rad]: a wheel 40 cm from the edge is 7 mm up."""
+LEANING_TILT = MAX_TILT / 5
+"""Tilt at which the arm stops to pull [rad]."""
+LIFTED = -1.0
+"""Stability of a base that is pulled off the floor, and the least that counts: a light load on the
+floor puts the zero moment point anywhere [m]."""
+SMOOTHING_TIME = 0.1
+"""Time constant of the filter of the recorded stability, which leaves impacts out [s]."""
+
+
+class Tipping:
+    """The stability of a robot during a run.
+
+    Where the zero moment point is outside the area that the wheels stand on, the robot begins to
+    turn about its edge, and falls back when the point returns.
+    """
+
+    def __init__(self, world: Simulation, step: float) -> None:
+        """`step` is the time between updates [s]."""
+        self._world, self._step = world, step
+        self._body = world.model.body("base").id
+        self._own = np.flatnonzero(world.model.body_rootid == self._body)
+        """The robot's bodies."""
+        self._velocity = world.data.qvel.copy()
+        """Joint velocities at the last update."""
+        self._tilt, self._rate = 0.0, 0.0
+        self._smooth: float | None = None
+        self.stability: float | None = None
+        """Least distance of the zero moment point from the edge of the wheels' outline so far [m];
+        None if masses or wheels are unknown."""
+
+    @property
+    def tips(self) -> bool:
+        """Whether the base would tip over."""
+        return self._tilt > MAX_TILT
+
+    @property
+    def leans(self) -> bool:
+        """Whether the base begins to tip over, as the robot knows from its weight and its wrist."""
+        return self._tilt > LEANING_TILT
+
+    def update(self) -> None:
+        """Take the present state into account."""
+        support = self._world.support
+        if support is None:
+            return
+        margin = self._margin(support)
+        before = margin if self._smooth is None else self._smooth
+        share = self._step / (SMOOTHING_TIME + self._step)
+        self._smooth = before + share * (margin - before)
+        least = self._smooth if self.stability is None else self.stability
+        self.stability = min(least, self._smooth)
+        self._turn(margin)
+
+    def _margin(self, support: Float[np.ndarray, "k 2"]) -> float:
+        """Return how far inside the wheels' outline the zero moment point is [m]."""
+        point = self._zero_moment_point()
+        if point is None:
+            return LIFTED
+        distance = float(edge_distances(point[None], support)[0])
+        return distance if contains(support, point[None])[0] else max(-distance, LIFTED)
+
+    def _turn(self, margin: float) -> None:
+        """Integrate the turn about the edge, on which the weight acts with a lever."""
+        model, data = self._world.model, self._world.data
+        mass, at = model.body_mass[self._own], data.xipos[self._own]
+        inertia = float(mass @ ((at - data.xpos[self._body]) ** 2).sum(1))
+        self._rate -= self._step * GRAVITY * float(mass.sum()) * margin / inertia
+        self._tilt += self._step * self._rate
+        if self._tilt <= 0.0:
+            self._tilt = self._rate = 0.0
+
+    def _zero_moment_point(self) -> Float[np.ndarray, "2"] | None:
+        """Return where the floor reacts [m], in the frame of the base; None where it does not."""
+        model, data = self._world.model, self._world.data
+        # The engine integrates damping implicitly, so that its own accelerations are not the real.
+        kept, change = data.qacc.copy(), data.qvel - self._velocity
+        data.qacc[:] = change / self._step
+        mujoco.mj_rnePostConstraint(model, data)
+        data.qacc[:], self._velocity = kept, data.qvel.copy()
+        torque_x, torque_y, _, *force = data.cfrc_int[self._body].tolist()
+        if force[2] <= 0.0:
+            return None
+        center = data.subtree_com[model.body_rootid[self._body]].tolist()
+        moment_x = torque_x + (center[1] * force[2] - center[2] * force[1])
+        moment_y = torque_y + (center[2] * force[0] - center[0] * force[2])
+        point = np.array([[-moment_y, moment_x]]) / force[2]
+        T = data.xmat[self._body].reshape(3, 3)
+        pose = np.array([*data.xpos[self._body][:2], np.arctan2(T[1, 0], T[0, 0])])
+        return local_points(pose, point)[0]
+
 
 Watch = Callable[[Simulation, float, Stage], None]
 """Callback after every control step, with the time [s] and the stage."""

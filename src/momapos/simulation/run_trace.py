@@ -11,11 +11,11 @@ import numpy as np
 
 from momapos.core.geometry import invert, local_points, pose_planar, pose_wxyz
 
+from .arm_control import sense_forces
 from .base_drive import base_pose_of, initial_base_pose
 from .config import Stage
-from .feel import sense_forces
 from .geoms import matrix_quat
-from .run_motion import DIGITS, DRIVE, RunMotion, Triple, rounded
+from .run_record import DIGITS, DRIVE, RunMotion, Triple, rounded
 from .simulated_robot import BASE_JOINTS
 from .simulated_room import is_part
 from .simulation import Simulation

@@ -21,9 +21,8 @@ from .config import (
     OBSERVED_DISTANCE,
     ExecutionConfig,
 )
-from .dynamics import Dynamics, Inertia
 from .geoms import Kind, add_shape, dress, place_body
-from .simulated_hand import Finger, SimulatedHand
+from .robot_dynamics import Dynamics, Finger, Inertia, SimulatedHand
 
 if TYPE_CHECKING:
     from jaxtyping import Float

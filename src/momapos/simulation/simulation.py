@@ -18,24 +18,44 @@ from momapos.model.scene import Scene, SceneObject
 from momapos.verification import obstructing_links
 
 from .config import PAD_TIME, TOUCH_DISTANCE, WELD_TIME, ExecutionConfig
-from .dynamics import Dynamics
-from .followers import couplings, set_followers
 from .geoms import HAND, ROBOT, Kind, matrix_quat
-from .simulated_hand import Finger, SimulatedHand
-from .simulated_latch import SimulatedLatch, find_latch
+from .robot_dynamics import Dynamics, Finger, SimulatedHand
 from .simulated_robot import BASE_JOINTS, TOOL_POINT, add_robot, body_of, tune
 from .simulated_room import (
     PART,
     Deviation,
     PartResistance,
+    SimulatedLatch,
     add_part,
     add_room,
+    find_latch,
     is_part,
     set_masses,
 )
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+def set_followers(model: Any, q: Float[np.ndarray, " q"]) -> None:
+    """Set the mimic joints of the part to where its joint takes them."""
+    for follower, leader, ratio in couplings(model):
+        x, y = model.joint(leader).qposadr[0], model.joint(follower).qposadr[0]
+        q[y] = model.qpos0[y] + ratio * (q[x] - model.qpos0[x])
+
+
+def couplings(model: Any) -> list[tuple[str, str, float]]:
+    """Return the mimic joints of the part, with their leader and ratio."""
+    return [
+        (
+            model.joint(model.eq_obj1id[i]).name,
+            model.joint(model.eq_obj2id[i]).name,
+            float(model.eq_data[i, 1]),
+        )
+        for i in range(model.neq)
+        if is_part(model.equality(i).name)
+    ]
+
 
 WELD = "hold"
 _CONTACT_SAMPLES = 30

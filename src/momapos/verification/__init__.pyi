@@ -1,14 +1,14 @@
 from .contact_pairs import ObjectContact as ObjectContact
 from .contact_pairs import object_contacts as object_contacts
 from .exact_check import PlanVerifier as PlanVerifier
-from .floor_contact import meets_floor_at as meets_floor_at
 from .hand_checks import HOLD_CHECK as HOLD_CHECK
+from .part_sweep import meets_floor_at as meets_floor_at
 from .part_sweep import obstructing_links as obstructing_links
+from .plan_check import check_plan_numbers as check_plan_numbers
 from .plan_check import find_file as find_file
 from .plan_check import read_scene as read_scene
 from .plan_check import verify_files as verify_files
-from .plan_numbers import check_plan_numbers as check_plan_numbers
+from .plan_check import verify_tour as verify_tour
 from .report import Limits as Limits
 from .report import report_lines as report_lines
 from .report import report_to_dict as report_to_dict
-from .tour_check import verify_tour as verify_tour

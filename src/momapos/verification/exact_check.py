@@ -12,35 +12,115 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import contains, edge_distances, invert, place_points, pose_planar
+from momapos.core.geometry import apply, contains, edge_distances, invert, place_points, pose_planar
 from momapos.model.records import Motion, MotionLoads, Outline, PlacementPlan, Task
 from momapos.model.scene import ResistanceConfig, Scene, area_name
 
 from . import path_checks as paths
-from .base_path_checks import (
+from .exact_shapes import Shapes
+from .hand_checks import DEPTH_CHECK, HandChecker
+from .motion_loads import (
+    CarriedLoad,
+    MeasuredLoads,
+    depths_in,
+    farthest_outside,
+    outline_of,
+    outside,
+    robot_efforts,
+)
+from .moved_part import split
+from .part_sweep import depths_below_floor, dips, part_sweep_check
+from .path_checks import (
     base_path_checks,
     known_base_checks,
+    known_latch_checks,
+    latch_checks,
     moving_base_checks,
+    time_checks,
     wheel_checks,
 )
-from .exact_shapes import Shapes
-from .floor_contact import depths_below_floor, dips
-from .hand_checks import DEPTH_CHECK, HandChecker
-from .latch_checks import known_latch_checks, latch_checks
-from .motion_loads import HandLoad, MeasuredLoads
-from .moved_part import split
-from .outline_note import outside_note
-from .overlaps import Overlaps
-from .part_sweep import part_sweep_check
-from .polygon import depths_in, farthest_outside, outline_of
 from .report import DEFAULT, Check, Limits, Report, at_most
 from .robot_collision_model import RobotDescription, robot_collision_model
-from .robot_efforts import robot_efforts
-from .sweep import all_pairs
-from .time_checks import time_checks
+from .sweep import Overlaps, all_pairs
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+MIN_OUTSIDE = 0.01
+"""Smaller distances outside the outline are not reported [m]."""
+MAX_STATES = 100
+"""Number of states that are looked at, evenly spaced; more change the distance by millimeters."""
+_SHARES = (0.25, 0.5, 0.75, 1.0)
+"""Points between the middle of a shape and its corners; a long link may span a notch."""
+_CORNERS = np.stack(np.meshgrid(*3 * [(-1.0, 1.0)]), -1).reshape(-1, 3)
+
+
+def outside_note(
+    scene: Scene, moving: Sequence[tuple[Shapes, Float[np.ndarray, "_ _ 4 4"]]]
+) -> str | None:
+    """Return where and how far shapes leave the floor's outline; None if they stay inside.
+
+    Points above or in the footprint of an object do not count, since no wall can be there. A scene
+    with walls has solid ones, so nothing is reported.
+
+    Args:
+        scene: The scene.
+        moving: Shapes and their world poses, such as those of the arm.
+    """
+    if scene.floor_polygon is None or scene.walls:
+        return None
+    spots = [_farthest(scene, *group) for group in moving]
+    name, distance, point = max(spots, key=lambda spot: spot[1], default=("", 0.0, np.zeros(2)))
+    if distance < MIN_OUTSIDE:
+        return None
+    return (
+        f"{name} is up to {100 * distance:.0f} cm outside the floor's outline at "
+        f'({point[0]:.2f}, {point[1]:.2f}); if there are walls, set walls = "floor" in the scene'
+    )
+
+
+def _farthest(
+    scene: Scene, shapes: Shapes, Ts: Float[np.ndarray, "s k 4 4"]
+) -> tuple[str, float, Float[np.ndarray, "2"]]:
+    """Return the shape that is farthest outside, its distance [m] and its farthest point."""
+    assert scene.floor_polygon is not None
+    Ts = Ts[np.linspace(0, len(Ts) - 1, min(len(Ts), MAX_STATES)).round().astype(int)]
+    middle = outside(scene.floor_polygon, Ts[..., :2, 3].reshape(-1, 2)).reshape(Ts.shape[:2])
+    near = middle + np.linalg.norm(shapes.half, axis=1) > MIN_OUTSIDE
+    worst: tuple[str, float, np.ndarray] = ("", 0.0, np.zeros(2))
+    for index in np.flatnonzero(near.any(0)).tolist():
+        T = Ts[near[:, index], index]
+        rough = _distances(scene, T, _CORNERS * shapes.half[index])[0].max(1)
+        state = int(rough.argmax())
+        distance, points = _distances(scene, T[state : state + 1], shapes.outline(index))
+        at = int(distance[0].argmax())
+        far = float(distance[0, at]) + float(shapes.ball[index])
+        if far > worst[1]:
+            worst = shapes.names[index], far, points[0, at]
+    return worst
+
+
+def _distances(
+    scene: Scene, Ts: Float[np.ndarray, "s 4 4"], corners: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "s m"], Float[np.ndarray, "s m 2"]]:
+    """Return the distances of points of a shape from the outline [m], and the points.
+
+    Args:
+        scene: The scene.
+        Ts: World poses of the shape.
+        corners: Points whose hull it is, around the origin [m].
+    """
+    assert scene.floor_polygon is not None
+    local = (np.array(_SHARES)[:, None, None] * corners).reshape(-1, 3)
+    points = np.asarray(apply(Ts, local))[..., :2]
+    flat = points.reshape(-1, 2)
+    distance = outside(scene.floor_polygon, flat)
+    for item in scene.objects:
+        low, high = item.bounds[:, :2]
+        distance[((low <= flat) & (flat <= high)).all(1)] = -np.inf
+    return distance.reshape(points.shape[:2]), points
+
 
 MIN_SWEEP_STEPS = 49
 """The part's path is divided into this number of intervals, or a multiple of it [-]."""
@@ -88,7 +168,7 @@ class PlanVerifier:
         self._efforts = robot_efforts(
             robot.model, self.robot_model.bodies, robot.base_link, self.robot_model.joints
         )
-        self._hand_load = HandLoad(scene.object(task.object), task, ResistanceConfig())
+        self._hand_load = CarriedLoad(scene.object(task.object), task, ResistanceConfig())
         self._hand = HandChecker(
             self.robot_model, robot.grip_force, self.part, scene.object(task.object).model, limits
         )

@@ -2,22 +2,266 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import GRAVITY
-from momapos.core.geometry import apply, invert
+from momapos.core import GRAVITY, owner_cache
+from momapos.core.geometry import (
+    apply,
+    contains,
+    convex_hull,
+    edge_distances,
+    edge_normals,
+    invert,
+    pose_planar,
+)
 from momapos.model.records import MOVING_PULL, Motion, MotionLoads, Task
+from momapos.model.robots import support_outline
 from momapos.model.scene import ResistanceConfig, SceneObject, object_mass, resistance_along
+from momapos.model.urdf import Articulated
 
+from .exact_shapes import Shapes
+from .link_bodies import LinkBodies
 from .path_checks import DensePath
 from .report import Check, Limits, at_most
-from .robot_efforts import RobotEfforts
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
+
+
+_BLOCK = 64
+"""Number of outlines that are compared with an area together [-]."""
+_BALL = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+"""Directions in which a ball extends a shape [rad]."""
+
+
+def outside(
+    polygon: Float[np.ndarray, "k 2"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """Return the signed distance of points from a polygon [m], negative inside."""
+    distance = edge_distances(points, polygon)
+    return np.asarray(np.where(contains(polygon, points), -distance, distance))
+
+
+def farthest_outside(
+    polygon: Float[np.ndarray, "k 2"], shapes: Shapes, Ts: Float[np.ndarray, "s b 4 4"]
+) -> tuple[float, int]:
+    """Return how far any shape extends outside a polygon [m], and at which of its poses.
+
+    Args:
+        polygon: The polygon.
+        shapes: The shapes.
+        Ts: Their world poses.
+
+    Returns:
+        The distance, 0 if all are inside, and the index of the poses.
+    """
+    middle = outside(polygon, Ts[..., :2, 3].reshape(-1, 2)).reshape(Ts.shape[:2])
+    near = middle + np.linalg.norm(shapes.half, axis=1) > 0.0
+    worst, where = 0.0, 0
+    for index in np.flatnonzero(near.any(0)).tolist():
+        states = np.flatnonzero(near[:, index])
+        T, outline = Ts[states, index], shapes.outline(index)
+        points = outline @ T[:, :2, :3].transpose(0, 2, 1) + T[:, None, :2, 3]
+        gaps = outside(polygon, points.reshape(-1, 2)).reshape(points.shape[:2]).max(1)
+        state = int(gaps.argmax())
+        if gaps[state] + shapes.ball[index] > worst:
+            worst, where = float(gaps[state] + shapes.ball[index]), int(states[state])
+    return worst, where
+
+
+def outline_of(shapes: Shapes, Ts: Float[np.ndarray, "b 4 4"]) -> Float[np.ndarray, "k 2"]:
+    """Return the convex outline of shapes on the floor, counterclockwise, at their poses [m]."""
+    rim = np.column_stack([np.cos(_BALL), np.sin(_BALL)])
+    points = [
+        ((outline @ T[:3, :3].T + T[:3, 3])[:, None, :2] + ball * rim).reshape(-1, 2)
+        for outline, ball, T in zip(shapes.outlines, shapes.ball, Ts, strict=True)
+    ]
+    return convex_hull(np.concatenate(points))
+
+
+def depths_in(
+    area: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
+) -> Float[np.ndarray, " n"]:
+    """Return how deep convex outlines and an area are in each other [m]; 0 where they are apart.
+
+    The depth is that of a corner of the outline in the area, or of the middle of the part of an
+    edge of the area that is in the outline. So a small area in a large outline counts, and a strip
+    across it.
+    """
+    blocks = [outlines[k : k + _BLOCK] for k in range(0, len(outlines), _BLOCK)]
+    return np.concatenate([np.zeros(0), *(_depths_in(area, block) for block in blocks)])
+
+
+def _depths_in(
+    area: Float[np.ndarray, "k 2"], outlines: Float[np.ndarray, "n m 2"]
+) -> Float[np.ndarray, " n"]:
+    corners = outlines.reshape(-1, 2)
+    within = np.where(contains(area, corners), edge_distances(corners, area), 0.0)
+    normal = edge_normals(outlines)
+    level = (normal * outlines).sum(-1)
+    # Where an edge of the area, from 0 to 1, is on the inner side of every edge of an outline.
+    beyond = np.einsum("nmi,ki->nmk", normal, area) - level[..., None]
+    rise = np.einsum("nmi,ki->nmk", normal, np.roll(area, -1, axis=0) - area)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = -beyond / rise
+    first = np.where(rise < 0.0, cut, np.where((rise > 0.0) | (beyond <= 0.0), 0.0, np.inf))
+    last = np.where(rise > 0.0, cut, 1.0)
+    first, last = np.maximum(first.max(1), 0.0), np.minimum(last.min(1), 1.0)
+    middle = np.where(first <= last, (first + last) / 2, 0.0)
+    depth = -(beyond + middle[:, None] * rise).max(1)
+    crossed = np.where(first <= last, depth, 0.0).max(1)
+    return np.maximum(np.maximum(within.reshape(len(outlines), -1).max(1), crossed), 0.0)
+
+
+_DOWN = np.array([0.0, 0.0, -GRAVITY])
+"""Acceleration by gravity [m/s^2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotEfforts:
+    """The masses of a robot's bodies, and the effort limits of its arm."""
+
+    mass: Float[np.ndarray, " b"]
+    """[kg]"""
+    center: Float[np.ndarray, "b 3"]
+    """Center of each mass in the body's frame [m]."""
+    names: tuple[str, ...]
+    """The joints with a motor: those of the arm that do not follow another."""
+    limits: Float[np.ndarray, " n"]
+    """Their effort limits [Nm] or [N]; infinite if the file has none."""
+    joints: tuple[tuple[int, int, float, bool], ...]
+    """For each joint of the arm: its body, its motor, its ratio to it, and whether it slides."""
+    axes: Float[np.ndarray, "m 3"]
+    """Axis of each of these joints in its body's frame."""
+    beyond: Bool[np.ndarray, "m b"]
+    """The bodies that each of them moves."""
+    support: Float[np.ndarray, "k 2"] | None
+    """Outline of the wheels' contacts in the base frame [m]; None if unknown."""
+
+    def efforts(
+        self,
+        Ts: Float[np.ndarray, "s b 4 4"],
+        force: Float[np.ndarray, "s 3"],
+        point: Float[np.ndarray, "s 3"],
+    ) -> Float[np.ndarray, "s n"]:
+        """Return what each motor must exert at rest [Nm] or [N].
+
+        It balances the forces on all bodies that its joints move, by the principle of virtual work.
+
+        Args:
+            Ts: World poses of the bodies at each state.
+            force: Force on the hand or on what it holds, in the world [N].
+            point: Where it acts [m].
+        """
+        centers = np.einsum("sbij,bj->sbi", Ts[..., :3, :3], self.center) + Ts[..., :3, 3]
+        out = np.zeros((len(Ts), len(self.names)))
+        for (body, motor, ratio, slides), axis, beyond in zip(
+            self.joints, self.axes, self.beyond, strict=True
+        ):
+            along = Ts[:, body, :3, :3] @ axis
+            if slides:
+                work = -GRAVITY * self.mass[beyond].sum() * along[:, 2] + (along * force).sum(1)
+            else:
+                origin = Ts[:, body, :3, 3]
+                moment = self.mass[beyond] @ (centers[:, beyond] - origin[:, None])
+                down = _cross(moment, _DOWN)
+                work = (along * (down + _cross(point - origin, force))).sum(1)
+            out[:, motor] -= ratio * work
+        return out
+
+    def stability(
+        self,
+        base_pose: Sequence[float] | Float[np.ndarray, "s 3"],
+        Ts: Float[np.ndarray, "s b 4 4"],
+        force: Float[np.ndarray, "s 3"],
+        point: Float[np.ndarray, "s 3"],
+    ) -> Float[np.ndarray, " s"] | None:
+        """Return how far inside the support the floor's reaction acts at each state [m].
+
+        None if masses or wheels are unknown; negative where the robot tips over. The base is at
+        one pose or at a pose per state.
+        """
+        if self.support is None:
+            return None
+        centers = np.einsum("sbij,bj->sbi", Ts[..., :3, :3], self.center) + Ts[..., :3, 3]
+        weight = GRAVITY * self.mass.sum()
+        moment = _cross(centers, _DOWN).transpose(0, 2, 1) @ self.mass
+        moment += _cross(point, force)
+        up = weight - force[:, 2]
+        # The reaction (0, 0, up) at (x, y, 0) has the moment (y up, -x up, 0).
+        reaction = np.column_stack([moment[:, 1], -moment[:, 0]]) / up[:, None]
+        T = pose_planar(np.array(base_pose))
+        local = np.einsum("...i,...ij->...j", reaction - T[..., :2, 3], T[..., :2, :2])
+        return np.where(up > 0.0, -outside(self.support, local), -np.inf)
+
+
+def _cross(
+    a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*#batch 3"]
+) -> Float[np.ndarray, "*batch 3"]:
+    """Return the cross product; `np.cross` takes several times as long for few vectors."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+@owner_cache(8)
+def robot_efforts(
+    model: Articulated, bodies: LinkBodies, base_link: str, arm_joints: tuple[str, ...]
+) -> RobotEfforts:
+    """Return the masses of a robot's bodies and the effort limits of its arm.
+
+    Args:
+        model: The robot.
+        bodies: Its bodies.
+        base_link: Link on the floor.
+        arm_joints: All joints that the arm moves.
+    """
+    mass, center = _body_masses(model, bodies)
+    records = [model.joint(name) for name in arm_joints]
+    motors = [joint.name for joint in records if joint.mimic is None]
+    joints, beyond = [], np.zeros((len(records), len(bodies)), bool)
+    for k, joint in enumerate(records):
+        body = bodies.of_joint[joint.name]
+        leader = joint.name if joint.mimic is None else joint.mimic.joint
+        ratio = 1.0 if joint.mimic is None else joint.mimic.ratio
+        joints.append((body, motors.index(leader), ratio, joint.kind == "prismatic"))
+        beyond[k] = [_is_beyond(bodies, other, body) for other in range(len(bodies))]
+    moved = set(np.flatnonzero(beyond.any(0)).tolist())
+    standing = [link for link, body in bodies.of_link.items() if body not in moved]
+    on_base = sum(model.urdf.links[link].mass for link in standing)
+    return RobotEfforts(
+        mass=mass,
+        center=center,
+        names=tuple(motors),
+        limits=np.array([model.joint(name).effort for name in motors]),
+        joints=tuple(joints),
+        axes=np.array([joint.axis for joint in records]),
+        beyond=beyond,
+        support=support_outline(model, base_link, standing) if on_base > 0 else None,
+    )
+
+
+def _body_masses(
+    model: Articulated, bodies: LinkBodies
+) -> tuple[Float[np.ndarray, " b"], Float[np.ndarray, "b 3"]]:
+    mass, moment = np.zeros(len(bodies)), np.zeros((len(bodies), 3))
+    for name, body in bodies.of_link.items():
+        link, T = model.urdf.links[name], bodies.T_body_link[name]
+        mass[body] += link.mass
+        moment[body] += link.mass * (T[:3, :3] @ link.center + T[:3, 3])
+    return mass, moment / np.maximum(mass, 1e-12)[:, None]
+
+
+def _is_beyond(bodies: LinkBodies, body: int, joint_body: int) -> bool:
+    """Check whether a body moves with the joint of another one."""
+    while body not in (joint_body, -1):
+        body = bodies.parent[body]
+    return body == joint_body
+
 
 MIN_LEVER = 0.02
 """Travel of the hand per unit of the joint below which the pull does not grow [m/rad]."""
@@ -27,7 +271,7 @@ MIN_TIME = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class HandLoad:
+class CarriedLoad:
     """What the task's object does to the hand."""
 
     item: SceneObject

@@ -14,7 +14,6 @@ from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject, latch_to_turn
 from momapos.model.urdf import Joint, opening_of
 
-from .body_paths import BodyPaths, paths_of
 from .convex import Body, overlap
 from .exact_shapes import (
     Shapes,
@@ -25,7 +24,7 @@ from .exact_shapes import (
     prepared,
     prepared_static,
 )
-from .link_bodies import LinkBodies, body_poses
+from .link_bodies import BodyPaths, LinkBodies, body_poses, paths_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -1,15 +1,15 @@
-"""Check a motion without collision geometry: numbers, joints, tool poses, grasps."""
+"""Check a motion without collision geometry: numbers, times, joints, base, tool, grasps."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core.geometry import invert, rotation_about, rotation_angle
+from momapos.core.geometry import invert, rotation_about, rotation_angle, wrap_angle
 from momapos.model import deviation
 from momapos.model.records import Hold, Motion
 
@@ -20,6 +20,7 @@ from .robot_collision_model import RobotCollisionModel
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
 
 MAX_STEP_BACK = 1e-6
 """Largest backward step of the object's joint [rad] or [m]."""
@@ -396,3 +397,189 @@ def _farthest(part: MovedPart, points: Float[np.ndarray, "k 3"]) -> tuple[float,
         moved = np.linalg.norm(points - points[i], axis=1)
         bounds = np.minimum(bounds, distance + moved)
     return worst, where
+
+
+MAX_SIDEWAYS, SIDEWAYS_SHARE = 3e-4, 0.05
+"""A base that cannot drive sideways may move so far in total [m], beyond a share of its path."""
+MAX_OVERTURN = math.radians(0.1)
+"""A car-like base may turn so far in total beyond what its turning radius allows [rad]."""
+MAX_BASE_STEP, MAX_BASE_TURN = 0.05, 0.1
+"""Largest distance [m] and turn [rad] between consecutive poses of a base path."""
+MAX_BASE_GAP = 1e-6
+"""Largest difference of a plan's base pose and the first one of its manipulation [m] or [rad]."""
+
+
+def base_path_checks(
+    way: Float[np.ndarray, "k 3"], ends: Float[np.ndarray, "2 3"], limits: Limits
+) -> Iterator[Check]:
+    """Check that a base path leads from the start to the base pose in small steps."""
+    if not len(way) or len(way) > limits.states or np.abs([*way, *ends]).max() > MAX_MAGNITUDE:
+        yield verdict(f"base path has 1 to {limits.states} poses", False)
+        return
+    off = _max_offset(way[[0, -1]], ends)
+    yield at_most("base path from start to base pose", 1000 * off[0], 1000 * limits.join, "mm")
+    yield at_most("base path from start to base pose, turn", off[1], limits.join, "rad")
+    step, turn = _max_offset(way[1:], way[:-1])
+    yield at_most("step of the base path", 1000 * step, 1000 * MAX_BASE_STEP, "mm")
+    yield at_most("turn of the base path", turn, MAX_BASE_TURN, "rad")
+
+
+def known_base_checks(
+    base_pose: tuple[float, float, float], motion: Motion, drive: str | None
+) -> Iterator[Check]:
+    """Check that a moving base has a pose for each state, and a drive to move with."""
+    if motion.base is None:
+        return
+    fits = motion.base.shape == (len(motion.q), 3)
+    yield verdict("one base pose for each state of the manipulation", fits, str(len(motion.base)))
+    yield verdict("drive of the moving base is known", drive is not None)
+    if fits and len(motion.base):
+        off = max(_max_offset(motion.base[:1], np.array([base_pose])))
+        name = "base_pose is the first base pose of the manipulation"
+        yield at_most(name, off, MAX_BASE_GAP, "rad|m")
+
+
+def moving_base_checks(
+    path: DensePath, motion: Motion, drive: str | None, radius: float | None, limits: Limits
+) -> Iterator[Check]:
+    """Check that the base can move so during the manipulation, at all interpolated states."""
+    if motion.base is None or path.base is None:
+        return
+    steps = np.abs(np.diff(motion.base, axis=0)).max(1, initial=0.0)
+    where = f"state {int(steps.argmax())}" if len(steps) else ""
+    yield at_most(
+        "largest step of the base", steps.max(initial=0.0), limits.jump, "rad|m", where, "the base"
+    )
+    driven = path.base[path.approach :]
+    yield from wheel_checks(driven, drive, radius, "base", lambda k: path.where(path.approach + k))
+
+
+def wheel_checks(
+    way: Float[np.ndarray, "k 3"],
+    drive: str | None,
+    radius: float | None,
+    what: str = "base path",
+    where: Callable[[int], str] = lambda k: f"pose {k}",
+) -> Iterator[Check]:
+    """Check that the wheels of the base can follow a base path.
+
+    Tolerances add up over the path, so that many small steps allow no more than a large one.
+
+    Args:
+        way: x [m], y [m], yaw [rad].
+        drive: "differential", "omni" or "car"; None if unknown, which checks nothing.
+        radius: Least turning radius of a car-like base [m].
+        what: What moves, for the names of the checks.
+        where: Names a pose by its index.
+    """
+    if drive is None or drive == "omni":
+        return
+    step, turn = np.diff(way[:, :2], axis=0), wrap_angle(np.diff(way[:, 2]))
+    middle = way[:-1, 2] + turn / 2  # an arc's chord has the heading of its middle
+    ahead = np.abs(step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle))
+    across = np.abs(step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle))
+    beyond = np.maximum(across - SIDEWAYS_SHARE * ahead, 0.0)
+    yield at_most(
+        f"{what} moves sideways, which its drive cannot", 1000 * beyond.sum(),
+        1000 * MAX_SIDEWAYS, "mm", _largest(beyond, where), "the base",
+    )  # fmt: skip
+    if drive == "car" and radius is not None:
+        over = np.maximum(np.abs(turn) - ahead / radius, 0.0)
+        yield at_most(
+            f"{what} turns tighter than its drive can", math.degrees(over.sum()),
+            math.degrees(MAX_OVERTURN), "deg", _largest(over, where), "the base",
+        )  # fmt: skip
+
+
+def _largest(beyond: Float[np.ndarray, " n"], where: Callable[[int], str]) -> str:
+    return f"most after {where(int(beyond.argmax()))}" if beyond.any() else ""
+
+
+def _max_offset(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> tuple[float, float]:
+    """Return the largest distance [m] and turn [rad] between poses."""
+    away = a - b
+    distance = np.hypot(away[:, 0], away[:, 1]).max(initial=0.0)
+    return float(distance), float(np.abs(wrap_angle(away[:, 2])).max(initial=0.0))
+
+
+def known_latch_checks(part: MovedPart, motion: Motion) -> Iterator[Check]:
+    """Check that the motion turns a latch if and only if one must be turned."""
+    if part.latch is not None:
+        name = part.latch.joint.name
+        yield verdict("the latch is turned first", motion.latch_q is not None, name)
+    elif motion.latch_q is not None:
+        yield verdict("the scene has the latch that the plan turns", False, "no latch to turn")
+    if motion.latch_q is not None:
+        yield verdict("one value of the latch for each state", len(motion.latch_q) == len(motion.q))
+
+
+def latch_checks(part: MovedPart, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Check that the latch is turned as the scene says, and that the part rests until then."""
+    latch, values = part.latch, motion.latch_q
+    if latch is None or values is None:
+        return
+    span = latch.goal - latch.start
+    slack = limits.goal * max(abs(span), 1e-9)
+    yield at_most(
+        "latch starts at the scene's value", abs(values[0] - latch.start), slack, "rad|m",
+        f"{values[0]:.4f}, scene {latch.start:.4f}",
+    )  # fmt: skip
+    back = float((-np.sign(span) * np.diff(values)).max(initial=0.0))
+    yield at_most("latch turns monotonically (largest step back)", back, MAX_STEP_BACK, "rad|m")
+    excess = max(latch.joint.lower - values.min(), values.max() - latch.joint.upper, 0.0)
+    yield at_most("latch within its joint limits (excess)", excess, limits.joint, "rad|m")
+    moves = np.abs(np.diff(motion.object_q)) > MAX_FREE_MOTION
+    short = (latch.goal - values[:-1])[moves] * np.sign(span)
+    yield at_most(
+        "latch short of its value while the part moves", short.max(initial=0.0), slack, "rad|m",
+        f"{values[-1]:.4f} at the end, scene {latch.goal:.4f}",
+    )  # fmt: skip
+
+
+_STILL = 1e-9
+"""A joint that moves less between two states rests [rad] or [m]."""
+
+
+def time_checks(robot: RobotCollisionModel, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Check the times of the states, if the plan has any.
+
+    Of a joint only its mean speed between two states is known. It never exceeds the joint's limit,
+    and from one interval to the next it changes by no more than the acceleration limit times half
+    the length of both, if the joint keeps its limits in between. Both phases start and end at rest.
+    """
+    phases = ((motion.approach, motion.approach_times), (motion.q, motion.times))
+    means = [_means(q, times) for q, times in phases if times is not None and len(times) > 1]
+    if not means:
+        return
+    speed = np.vstack([np.abs(v) for v, _ in means]) / robot.speed
+    yield _worst("joint speed by the plan's times", speed, robot, limits)
+    if np.isfinite(robot.acceleration).any():
+        change = np.vstack([_changes(v, length) for v, length in means]) / robot.acceleration
+        yield _worst("joint acceleration by the plan's times", change, robot, limits)
+
+
+def _means(
+    q: Float[np.ndarray, "m n"], times: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
+    """Return the mean velocity in each interval, and its length [s]."""
+    moved, length = np.diff(q, axis=0), np.diff(times)
+    still = np.abs(moved) <= _STILL
+    with np.errstate(divide="ignore"):
+        return np.where(still, 0.0, moved / np.where(still, 1.0, length[:, None])), length
+
+
+def _changes(v: Float[np.ndarray, "k n"], length: Float[np.ndarray, " k"]) -> np.ndarray:
+    """Return the least acceleration that changes the mean velocities so, from rest to rest."""
+    half = np.convolve(np.pad(length, 1), (0.5, 0.5), mode="valid")[:, None]
+    rest = np.zeros((1, v.shape[1]))
+    change = np.abs(np.diff(v, axis=0, prepend=rest, append=rest))
+    change = np.where(np.isfinite(change), change, np.inf)
+    return np.divide(change, half, out=np.where(change > 0.0, np.inf, 0.0), where=half > 0.0)
+
+
+def _worst(
+    name: str, share: Float[np.ndarray, "k n"], robot: RobotCollisionModel, limits: Limits
+) -> Check:
+    worst = robot.joints[int(share.max(0).argmax())]
+    percent = 100.0 * float(share.max(initial=0.0))
+    return at_most(name, percent, 100.0 * limits.speed, "%", worst, worst)

@@ -1,23 +1,83 @@
-"""Verify a plan from its files."""
+"""Verify plans and tours from their files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect, resolved
-from momapos.model.plan_files import changed_files, read_plan
-from momapos.model.records import PlacementPlan
+from momapos.model.plan_files import TourFile, changed_files, read_plan, read_tour
+from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot, read_srdf
 from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions, with_overrides
 from momapos.model.urdf import Articulated, read_urdf
 
+from . import path_checks as paths
 from .exact_check import PlanVerifier
-from .report import DEFAULT, Check, Limits, Report, verdict
-from .robot_claims import read_robot_of, robot_checks, robot_notes
-from .scene_claims import assumes_otherwise, scene_checks, scene_notes, with_usual
-from .trust_notes import trust_notes
+from .exact_shapes import of_bodies, prepared
+from .path_checks import (
+    base_path_checks,
+    known_base_checks,
+    known_latch_checks,
+    latch_checks,
+    time_checks,
+)
+from .plan_claims import (
+    assumes_otherwise,
+    read_robot_of,
+    rest_checks,
+    robot_checks,
+    robot_notes,
+    scene_checks,
+    scene_notes,
+    stated_checks,
+    with_usual,
+)
+from .report import DEFAULT, Check, Limits, Report, at_most, verdict
+from .robot_collision_model import RobotDescription, robot_collision_model, self_pairs
+
+MAX_NAMED = 6
+"""Maximum number of names in a note [-]."""
+
+
+def trust_notes(scene: Scene, robot: RobotDescription, srdf: Path | None) -> Iterator[str]:
+    """Yield notes on disabled pairs, and on robots and objects without shapes.
+
+    Args:
+        scene: The scene of the plan.
+        robot: The robot of the plan.
+        srdf: The file that disables pairs of links, if there is one.
+    """
+    built = robot_collision_model(robot)
+    bodies, shapes = prepared(robot.model)
+    moving = set().union(*(bodies.moved_by(joint) for joint in built.joints))
+    every = self_pairs(bodies, shapes, of_bodies(shapes, moving))
+    names = {frozenset((shapes.names[i], shapes.names[j])) for i, j in every}
+    trusted = sorted("-".join(sorted(pair)) for pair in names & robot.disabled)
+    if trusted:
+        checked = f"{len(trusted)} of {len(names)} pairs of links"
+        source = "the robot file" if srdf is None else srdf
+        yield (
+            f"trusts {source}: it disables the self-collision check of {checked} "
+            f"({_listed(trusted)})"
+        )
+    for what, count in (("arm and hand", len(built.arm)), ("base", len(built.base))):
+        if not count:
+            yield f"the {what} of the robot has no collision shapes: nothing of it is checked"
+    empty = [item.name for item in scene.objects if not len(prepared(item.model)[1])]
+    if empty:
+        yield f"without collision shapes, so not checked: {_listed(empty)}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - MAX_NAMED
+    shown = ", ".join(names[:MAX_NAMED])
+    return f"{shown} and {more} more" if more > 0 else shown
+
 
 _PACKAGE = Path(__file__).parents[1]
 """Folder of the package; built-in kitchens and robots are in `model/*/library`."""
@@ -197,3 +257,157 @@ def _arm(
         plan.robot_min_turning_radius if own is None else own.min_turning_radius,
         None if own is None else own.grip_force,
     )  # fmt: skip
+
+
+def verify_tour(
+    path: Path,
+    scene_root: Path | None = None,
+    limits: Limits = DEFAULT,
+    *,
+    allow_assumed: bool = False,
+    cache: Cache | None = USER_CACHE,
+) -> dict[str, Report]:
+    """Verify a tour, given only its file, its plans, and the scenes and URDFs that they name.
+
+    Args:
+        path: The tour.
+        scene_root: As for `verify_files`.
+        limits: Largest allowed errors.
+        allow_assumed: As for `verify_files`.
+        cache: Where to cache model geometry; None to always compute it.
+
+    Returns:
+        A report for each plan by its file name, and one for the sequence by the tour's file name.
+
+    Raises:
+        FileFormatError, SceneError, UrdfError, UnknownNameError, TaskError, RobotError: The tour,
+            a plan or a file that a plan names is unusable.
+    """
+    tour = read_tour(path)
+    files = [path.with_name(step.plan) for step in tour.steps]
+    reports = {
+        file.name: verify_files(file, scene_root, limits, allow_assumed=allow_assumed, cache=cache)
+        for file in files
+    }
+    sequence = _sequence(tour, [read_plan(file) for file in files], allow_assumed)
+    reports[path.name] = Report(tuple(sequence))
+    return reports
+
+
+def _sequence(tour: TourFile, plans: list[PlacementPlan], allow_assumed: bool) -> Iterator[Check]:
+    """Check that each plan starts in the state in which the previous plan ends."""
+    solved = tour.status == "solved" or (allow_assumed and tour.status == "assumed")
+    yield verdict("status is solved", solved, f"status {tour.status!r}")
+    stops = [step.stop for step in tour.steps]
+    counted = [1, *(b - a for a, b in pairwise(stops))]
+    in_order = stops[0] == 1 and set(counted) <= {0, 1} and stops[-1] == tour.stops
+    yield verdict("stops are numbered from 1, in order", in_order, str(stops))
+    for number, (before, after) in enumerate(pairwise(plans), start=2):
+        name = f"plan {number}"
+        yield verdict(
+            f"{name}: same scene and robot as the previous plan",
+            (before.scene, before.robot_urdf, before.joints)
+            == (after.scene, after.robot_urdf, after.joints),
+        )
+        yield verdict(
+            f"{name}: scene joints are as the previous plan leaves them",
+            _joints_after(before) == _joints(after),
+            f"{_joints(after)}, previous plan leaves {_joints_after(before)}",
+        )  # fmt: skip
+        ends = np.array([before.final_base_pose or [np.nan] * 3, after.start or [np.nan] * 3])
+        off = float(np.abs(np.diff(ends, axis=0)).max())
+        yield at_most(f"{name}: base starts where the previous plan ends", off, 1e-6, "rad|m")
+        came_home = before.motion is not None and before.motion.home is not None
+        yield verdict(f"{name}: arm has returned home", came_home)
+        gap = _arm_gap(before, after)
+        if gap is not None:
+            what = f"{name}: arm starts as it has returned"
+            yield at_most(what, gap, DEFAULT.join, "rad|m")
+        if stops[number - 1] == stops[number - 2]:
+            stays = before.final_base_pose == after.base_pose
+            yield verdict(f"{name}: base stays at its stop", stays)
+
+
+def _arm_gap(before: PlacementPlan, after: PlacementPlan) -> float | None:
+    """Return how far a plan's first arm state is from the last one of the previous plan."""
+    first, last = after.motion, before.motion
+    if first is None or last is None or last.home is None or before.joints != after.joints:
+        return None
+    starts = first.approach[:1] if len(first.approach) else first.q[:1]
+    return float(np.abs(starts - last.home[-1:]).max(initial=0.0))
+
+
+def _joints(plan: PlacementPlan) -> dict[tuple[str, str], float]:
+    """Return the joint values that differ from the scene file."""
+    return {
+        (name, joint): value
+        for name, joints in plan.scene_joints.items()
+        for joint, value in joints.items()
+    }
+
+
+def _joints_after(plan: PlacementPlan) -> dict[tuple[str, str], float]:
+    task = plan.task
+    if task.joint is None or task.to is None:
+        return _joints(plan)
+    return {**_joints(plan), (task.object, task.joint): task.to}
+
+
+def check_plan_numbers(plan: PlacementPlan, scene: Scene, robot: Robot, name: str) -> None:
+    """Refuse a plan whose numbers `verify` rejects: what would use it cannot rely on them.
+
+    What the plan states about robot and scene is compared with their files. Joint values and their
+    limits, tool poses, base path and times are checked; bodies and loads are not, because a plan
+    that collides can be shown and simulated.
+
+    Args:
+        plan: A plan with a motion.
+        scene: The scene as it was planned in.
+        robot: The robot.
+        name: The plan's file, for the message.
+
+    Raises:
+        FileFormatError: It names the first failed check, its value and its limit.
+    """
+    verifier = PlanVerifier(with_assumptions(scene, plan), robot, plan.task)
+    stated = (
+        *rest_checks(plan.robot_rest, robot.model, plan.joints, verifier.limits),
+        *stated_checks(plan, robot),
+        *scene_checks(plan, with_overrides(scene, plan)),
+    )
+    failed = next((c for c in chain(stated, _checks(verifier, plan)) if not c.ok), None)
+    if failed is None:
+        return
+    number = f": {failed.value:.4g} {failed.unit}, limit {failed.limit:g}" if failed.unit else ""
+    detail = f" ({failed.detail})" if failed.detail else ""
+    raise FileFormatError(f"{name}: not a usable plan: {failed.name}{number}{detail}")
+
+
+def _checks(verifier: PlanVerifier, plan: PlacementPlan) -> Iterator[Check]:
+    """Yield the checks; each relies on those before it."""
+    motion, base, limits = plan.motion, plan.base_pose, verifier.limits
+    assert motion is not None
+    assert base is not None
+    yield from paths.number_checks(verifier.part, motion, base)
+    yield from known_latch_checks(verifier.part, motion)
+    yield from known_base_checks(base, motion, plan.robot_drive)
+    yield from paths.hold_checks(verifier.part, motion)
+    yield from paths.verb_checks(verifier.part, plan.task.verb)
+    yield from joint_number_checks(verifier, motion)
+    states = paths.count_states(motion, limits.step)
+    yield at_most("states to check", states, limits.states)
+    bases = base if motion.base is None else motion.base
+    Ts_tool, _, _ = verifier.robot_model.poses(verifier.robot_model.body_poses(bases, motion.q))
+    yield from paths.tool_checks(Ts_tool, motion, limits)
+    if plan.start is not None and plan.base_path is not None:
+        yield from base_path_checks(plan.base_path, np.array([plan.start, base]), limits)
+
+
+def joint_number_checks(verifier: PlanVerifier, motion: Motion) -> Iterator[Check]:
+    """Check the values of all joints, and the times at which they are reached."""
+    robot, part, limits = verifier.robot_model, verifier.part, verifier.limits
+    yield from paths.object_checks(part, motion, limits)
+    yield from latch_checks(part, motion, limits)
+    yield from paths.joint_checks(robot, motion, limits)
+    yield from paths.home_checks(motion, limits)
+    yield from time_checks(robot, motion, limits)

@@ -1,10 +1,10 @@
 from .joint_belief import plan_by_hypothesis as plan_by_hypothesis
 from .joint_belief import save_learned as save_learned
-from .moved_motion import motion_from as motion_from
+from .replanning import motion_from as motion_from
 from .robot_self_test import self_test as self_test
 from .run import NO_NOISE as NO_NOISE
 from .run import run_plan as run_plan
-from .scan import scan_to_scene as scan_to_scene
 from .solve import ScanAnswer as ScanAnswer
 from .solve import ScanTask as ScanTask
+from .solve import scan_to_scene as scan_to_scene
 from .solve import solve_scan as solve_scan

@@ -11,8 +11,7 @@ from typing import Any
 from tests.apps.bench.fakes import job, row
 
 from momapos.apps.bench.bench_records import to_plain
-from momapos.apps.bench.folder import all_rows, rows_file
-from momapos.apps.bench.row_store import RowStore
+from momapos.apps.bench.folder import RowStore, all_rows, rows_file
 from momapos.apps.bench.runner import run_jobs
 
 PAUSE = threading.Event()

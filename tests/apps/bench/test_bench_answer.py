@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from tests.rooms import corridor_room
 
-from momapos.apps.bench import job, steps
+from momapos.apps.bench import job
+from momapos.apps.bench import job as steps
 from momapos.apps.bench.bench_records import (
     Container,
     Job,

@@ -11,21 +11,19 @@ import pytest
 import yaml
 from tests.urdf_parts import LIMIT, joint, link
 
-from momapos.apps.bench.arm_problems import (
-    ProblemFiles,
-    find_problems,
-    read_problem,
-    spread_problems,
-)
 from momapos.apps.bench.arm_suite import (
     ARM_FILE,
+    ProblemFiles,
     arm_heading,
     arm_tables,
+    find_problems,
     read_arm_results,
+    read_problem,
     run_arm_suite,
+    spread_problems,
     write_arm_results,
 )
-from momapos.apps.bench.markdown_report import markdown
+from momapos.apps.bench.metrics import markdown
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError
 

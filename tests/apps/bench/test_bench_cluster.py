@@ -11,10 +11,8 @@ from tests import optional
 from tests.apps.bench.fakes import WORKER, job
 
 from momapos.apps.bench.bench_records import Row
-from momapos.apps.bench.dask_cluster import cluster
-from momapos.apps.bench.guard import run_job
-from momapos.apps.bench.row_store import RowStore, read_rows
-from momapos.apps.bench.runner import run_jobs
+from momapos.apps.bench.folder import RowStore, read_rows
+from momapos.apps.bench.runner import cluster, run_job, run_jobs
 from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 
@@ -52,7 +50,7 @@ def test_a_cluster_answers_every_job_even_if_jobs_and_a_worker_die(tmp_path: Pat
 @pytest.mark.timeout(60)
 def test_a_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     optional.module("distributed")
-    monkeypatch.setattr("momapos.apps.bench.dask_cluster.CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("momapos.apps.bench.runner.CONNECT_TIMEOUT", 0.5)
     for address in ("tcp://127.0.0.1:1", "no address"):
         with pytest.raises(InputError, match="no Dask scheduler answers there"), cluster(address):
             raise AssertionError(f"there is a scheduler at {address}")

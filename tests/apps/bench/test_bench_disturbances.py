@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.apps.bench.bench_records import Job, Settings, SuiteTask
-from momapos.apps.bench.disturbances import LEVELS, disturbed_poses, works_disturbed
-from momapos.apps.bench.job import answer_job
+from momapos.apps.bench.job import LEVELS, answer_job, disturbed_poses, works_disturbed
 from momapos.apps.bench.methods import method_config
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.records.plans import PlacementPlan
@@ -57,7 +56,7 @@ def test_replanning_succeeds_at_the_planned_pose_and_fails_far_away(
     robot, reach = machine
     for off, expected in ((0.0, True), (5.0, False)):
         levels = ((off, 0.0), (off, 0.0))
-        monkeypatch.setattr("momapos.apps.bench.disturbances.LEVELS", levels)
+        monkeypatch.setattr("momapos.apps.bench.job.LEVELS", levels)
         found = works_disturbed(plan, SCENE, robot, reach, count=3, config=CONFIG, seed=0)
         assert found.shape == (2, 3)
         assert (found == expected).all()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import momapos
-from momapos.apps.bench.job import _verify
-from momapos.apps.bench.steps import Step
-from momapos.model.records.resistances import JointResistance
+from momapos.apps.bench.job import Step, _verify
+from momapos.model.records.plans import JointResistance
 
 
 def test_a_plan_is_checked_with_the_resistance_that_it_assumes() -> None:

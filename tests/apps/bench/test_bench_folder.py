@@ -13,8 +13,14 @@ from tests.apps.bench.fakes import row, task
 
 from momapos.apps.bench import folder as folders
 from momapos.apps.bench.bench_records import Protocol, Settings, SuiteTask
-from momapos.apps.bench.folder import locked, open_folder, read_folder, rows_file, scene_digest
-from momapos.apps.bench.row_store import RowStore
+from momapos.apps.bench.folder import (
+    RowStore,
+    locked,
+    open_folder,
+    read_folder,
+    rows_file,
+    scene_digest,
+)
 from momapos.apps.bench.suites import SUITES, SuiteKind
 from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, MomaposError

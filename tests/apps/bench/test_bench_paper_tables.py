@@ -7,9 +7,7 @@ from dataclasses import replace
 from tests.apps.bench.fakes import row, suite
 
 from momapos.apps.bench.bench_records import Row
-from momapos.apps.bench.markdown_report import Table
-from momapos.apps.bench.metrics import labeled
-from momapos.apps.bench.printed import LABORATORY
+from momapos.apps.bench.metrics import LABORATORY, Table, labeled
 from momapos.apps.bench.report_tables import all_tables
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.apps.bench.fakes import suite, task
 
-from momapos.apps.bench import steps
+from momapos.apps.bench import job as steps
 from momapos.apps.bench.bench_records import (
     Commit,
     GraspSet,

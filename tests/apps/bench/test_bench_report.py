@@ -10,8 +10,7 @@ import pytest
 from tests.apps.bench.fakes import row, suite, task
 
 from momapos.apps.bench.bench_records import Container, Row
-from momapos.apps.bench.markdown_report import Table, markdown
-from momapos.apps.bench.metrics import in_order, paired_p_value, share
+from momapos.apps.bench.metrics import Table, in_order, markdown, paired_p_value, share
 from momapos.apps.bench.report_tables import all_tables, compared_tables
 
 HOSTILE = "</td><script>alert(\"1\")</script> | & 'quoted'"

@@ -18,11 +18,10 @@ from typing import Any
 import pytest
 from tests.apps.bench.fakes import WORKER, job, row, suite, task
 
-from momapos.apps.bench import guard
+from momapos.apps.bench import runner
 from momapos.apps.bench.bench_records import Job, Row, Settings, to_plain
-from momapos.apps.bench.guard import JobFailed, local_workers, run_job
-from momapos.apps.bench.row_store import RowStore, read_rows
-from momapos.apps.bench.runner import jobs_of, run_jobs
+from momapos.apps.bench.folder import RowStore, read_rows
+from momapos.apps.bench.runner import JobFailed, jobs_of, local_workers, run_job, run_jobs
 from momapos.apps.cli.bench import _progress_of
 from momapos.core.errors import InputError
 
@@ -85,8 +84,8 @@ def test_an_interrupted_run_ends_hanging_workers() -> None:
         with local_workers(1) as executor:
             executor.submit(FAKE, to_plain(job("long", "hangs", 600.0)))
             while not started:
-                with guard._PROCESSES.lock:
-                    started.extend(p.process.pid for p in guard._PROCESSES.by_thread.values())
+                with runner._PROCESSES.lock:
+                    started.extend(p.process.pid for p in runner._PROCESSES.by_thread.values())
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

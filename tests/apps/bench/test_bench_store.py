@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 from tests.apps.bench.fakes import row
 
-from momapos.apps.bench.folder import all_rows, rows_file
-from momapos.apps.bench.row_store import ADDED, RowStore, read_rows
+from momapos.apps.bench.folder import ADDED, RowStore, all_rows, read_rows, rows_file
 from momapos.core.errors import FileFormatError, InputError
 
 KILLS, JOBS = 10, 1200

@@ -14,13 +14,25 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.apps.bench import authors_kitchens, dining_rooms, laboratory, suites
-from momapos.apps.bench.authors_data import LABORATORY_FILE, SHARED, authors_data, data_lines
+from momapos.apps.bench import dining_rooms, paper_rooms, suites
 from momapos.apps.bench.bench_records import Container, SuiteTask
-from momapos.apps.bench.containers import opened, without
-from momapos.apps.bench.dining_rooms import OBJECT_SIZES, PLACES, DiningRoom, make_room
-from momapos.apps.bench.laboratory import TASKS, laboratory_tasks
-from momapos.apps.bench.microwaves import MICROWAVE, microwave_on
+from momapos.apps.bench.dining_rooms import (
+    MICROWAVE,
+    OBJECT_SIZES,
+    PLACES,
+    DiningRoom,
+    make_room,
+    microwave_on,
+)
+from momapos.apps.bench.methods import opened, without
+from momapos.apps.bench.paper_rooms import (
+    LABORATORY_FILE,
+    SHARED,
+    TASKS,
+    authors_data,
+    data_lines,
+    laboratory_tasks,
+)
 from momapos.apps.bench.suites import (
     SMOKE_TASKS,
     SUITES,
@@ -33,7 +45,7 @@ from momapos.core.errors import FileFormatError, InputError
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.library.box_furniture import (
+from momapos.model.scene.library.kitchen_writer import (
     Box,
     FurniturePart,
     Piece,
@@ -250,11 +262,11 @@ def test_trials_differ_in_the_pose_of_the_table(
 ) -> None:
     optional.there(DATA / "bestman" / LABORATORY_FILE)
     monkeypatch.setenv(SHARED, str(DATA))
-    monkeypatch.setattr(laboratory, "TRIALS", 2)
+    monkeypatch.setattr(paper_rooms, "TRIALS", 2)
     tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(TASKS, 2)
     rooms = [load_scene(tmp_path / name) for name in dict.fromkeys(task.scene for task in tasks)]
-    tables = [room.object(laboratory.TABLE).T_world_object for room in rooms]
+    tables = [room.object(paper_rooms.TABLE).T_world_object for room in rooms]
     assert np.abs(tables[0] - tables[1]).max() > 0.01
     for task in tasks:
         make_task(load_scene(tmp_path / task.scene), task.verb, task.object, task.joint)
@@ -294,16 +306,16 @@ def test_the_authors_bowl_stands_at_each_place_and_what_they_open_is_open(
 ) -> None:
     optional.there(DATA / "bestman" / "Asset/Scene/Kitchen_models")
     monkeypatch.setenv(SHARED, str(DATA))
-    tasks = authors_kitchens.simulation_tasks(0, ["segway_ur5e"], tmp_path)
+    tasks = paper_rooms.simulation_tasks(0, ["segway_ur5e"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(
-        authors_kitchens.PLACES, authors_kitchens.TRIALS
+        paper_rooms.PLACES, paper_rooms.TRIALS
     )
-    for name, place in authors_kitchens.PLACES.items():
+    for name, place in paper_rooms.PLACES.items():
         scene = load_scene(tmp_path / next(t.scene for t in tasks if t.group == name))
         kept = {item.name for item in scene.objects}
-        assert kept >= {*place.kept, authors_kitchens.BOWL}
+        assert kept >= {*place.kept, paper_rooms.BOWL}
         for item, joint, value in place.opened:
             assert scene.object(item).values()[joint] == pytest.approx(value)
-        ranked = rank(scene, authors_kitchens.BOWL)
+        ranked = rank(scene, paper_rooms.BOWL)
         related = {"near"} if name == "in dishwasher" else {"carries", "contains"}  # a steep tray
         assert related & set(ranked.relations), name

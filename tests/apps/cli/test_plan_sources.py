@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from tests.rooms import Everywhere
 
-from momapos.apps.cli.plan_sources import file_format, open_plan
-from momapos.apps.cli.view_sources import kind_of, scenes_in
+from momapos.apps.cli.loading import file_format, open_plan
+from momapos.apps.cli.view import kind_of, scenes_in
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file

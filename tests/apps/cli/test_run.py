@@ -22,8 +22,7 @@ from momapos.core.errors import InputError
 from momapos.core.geometry.transforms import invert, pose_planar, wrap_angle
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
-from momapos.model.records.plans import Attempt, Motion, PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Attempt, Motion, PlacementPlan, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

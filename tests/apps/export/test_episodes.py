@@ -18,16 +18,14 @@ from tests.rooms import Everywhere
 from momapos.apps.cli.main import main
 from momapos.apps.export.episodes import BASE, RATE, instruction_of
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.simulation.run_motion import RunMotion
-from momapos.simulation.run_record import RunRecord, Visit, with_files, write_run
+from momapos.simulation.run_record import RunMotion, RunRecord, Visit, with_files, write_run
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1))
 STAGES = ("drive", "drive", "drive", "approach", "grip", "manipulate", "manipulate")

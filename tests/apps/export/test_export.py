@@ -15,8 +15,8 @@ from jaxtyping import Float
 from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
-from momapos.apps.export.phases import Phase, PhaseKind, phases_of, samples_of
-from momapos.apps.export.planning_scene import write_scene, write_srdf
+from momapos.apps.export.ros2 import write_scene, write_srdf
+from momapos.apps.export.timeline import Phase, PhaseKind, phases_of, samples_of
 from momapos.core.geometry.transforms import pose_wxyz
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import Hold, PlacementPlan

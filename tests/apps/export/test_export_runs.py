@@ -12,8 +12,7 @@ import pytest
 from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
-from momapos.apps.export.phases import phases_of
-from momapos.apps.export.timeline import plan_timeline, run_timeline
+from momapos.apps.export.timeline import phases_of, plan_timeline, run_timeline
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.plan_files.tour_format import write_tour
@@ -25,8 +24,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
-from momapos.simulation.run_motion import RunMotion
-from momapos.simulation.run_record import RunRecord, Visit, with_files, write_run
+from momapos.simulation.run_record import RunMotion, RunRecord, Visit, with_files, write_run
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
 TIMES = (0.0, 0.1, 0.2, 0.2, 0.3, 0.4)

@@ -17,10 +17,8 @@ from tests.verification.door_case import Case
 from tests.verification.moving_case import chain, moving_case, stops_case
 
 from momapos.apps.export.mcap_recording import write_recording
-from momapos.apps.export.phases import Phase, phases_of
 from momapos.apps.export.ros2 import messages, write_ros2
-from momapos.apps.export.tables import write_csv
-from momapos.apps.export.timeline import plan_timeline
+from momapos.apps.export.timeline import Phase, phases_of, plan_timeline, write_csv
 from momapos.apps.web.playback import Story
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.plan_files.plan_format import read_plan

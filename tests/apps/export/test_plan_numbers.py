@@ -13,7 +13,7 @@ import pytest
 from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
-from momapos.apps.cli.view_sources import opened_source
+from momapos.apps.cli.view import opened_source
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot

@@ -14,7 +14,7 @@ from tests.rooms import Everywhere
 from momapos.apps.integrations.pddlstream import STREAM, GenFn, placement_stream
 from momapos.apps.integrations.pycram import PlacementBackend
 from momapos.core.errors import InputError, SceneError, TaskError, UnknownNameError
-from momapos.model.records.tasks import BaseRegion, Verb
+from momapos.model.records.plans import BaseRegion, Verb
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -12,12 +12,23 @@ from numpy.testing import assert_allclose
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from momapos.apps.plots.candidate_markers import KIND_OF, KINDS, outcomes, thin
-from momapos.apps.plots.heat import YAWS, potential_map
-from momapos.apps.plots.outlines import box_bounds, box_outlines
-from momapos.apps.plots.robot_plot import arm_frames
-from momapos.apps.plots.room_plot import draw_room, name_objects, room_bounds
-from momapos.apps.plots.text_panel import wrapped
+from momapos.apps.plots.answer_plot import (
+    KIND_OF,
+    KINDS,
+    YAWS,
+    outcomes,
+    potential_map,
+    thin,
+    wrapped,
+)
+from momapos.apps.plots.room_plot import (
+    arm_frames,
+    box_bounds,
+    box_outlines,
+    draw_room,
+    name_objects,
+    room_bounds,
+)
 from momapos.core.geometry.polygons import signed_area
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus

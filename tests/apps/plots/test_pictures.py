@@ -11,8 +11,8 @@ from momapos import load_robot, load_scene
 from momapos.apps.cli.main import main
 from momapos.apps.plots.graph_plot import draw_importance
 from momapos.apps.plots.image_files import save_figure
-from momapos.apps.plots.robot_spheres import draw_robot
-from momapos.apps.plots.scene_outlines import draw_scene
+from momapos.apps.plots.robot_figures import draw_robot
+from momapos.apps.plots.room_plot import draw_scene
 from momapos.core.errors import InputError
 from momapos.planning.grasps.task_requests import hand_path
 from momapos.planning.importance.ranking import rank

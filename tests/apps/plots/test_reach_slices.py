@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from momapos.apps.cli.main import main
-from momapos.apps.plots.reach_slices import reach_slice, tool_axes
+from momapos.apps.plots.robot_figures import reach_slice, tool_axes
 from momapos.model.robots.robot import Robot
 from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.reachability.reach_map import ReachMap

@@ -10,7 +10,7 @@ from PIL import Image
 from tests.furnished import Camera, Corners, cloud_of, look_at, photograph
 
 from momapos.apps.plots.scan_overview import draw_overviews
-from momapos.core.geometry.upright_boxes import from_corners
+from momapos.core.geometry.polygons import from_corners
 from momapos.model.records.scans import Detection, FaceImage, Front, Part
 from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.records import Decision, Modeled, PartSource

@@ -17,15 +17,13 @@ from jsonschema import Draft202012Validator
 
 from momapos.apps.bench.bench_records import Row, to_plain
 from momapos.apps.cli.main import main
-from momapos.apps.schemas.generate import SCHEMAS, schema_of
-from momapos.apps.schemas.tables import field_list
+from momapos.apps.schemas.generate import SCHEMAS, field_list, schema_of
 from momapos.core.errors import InputError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_keys import EACH, ROBOT_KEYS
+from momapos.model.robots.robot_file import EACH, ROBOT_KEYS
 from momapos.model.robots.robot_names import library_file, library_names
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_keys import SCENE_KEYS, Named
@@ -33,8 +31,14 @@ from momapos.model.scene.scene_names import LIBRARY, builtin_names
 from momapos.model.trajectory import with_times
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.simulation.run_motion import RunMotion
-from momapos.simulation.run_record import Collision, Execution, RunRecord, Visit, run_to_dict
+from momapos.simulation.run_record import (
+    Collision,
+    Execution,
+    RunMotion,
+    RunRecord,
+    Visit,
+    run_to_dict,
+)
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.apps.web.bodies import facing, joined, link_surfaces, world_surface
 from momapos.apps.web.cameras import viewpoint
+from momapos.apps.web.room_view import facing, joined, link_surfaces, world_surface
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject

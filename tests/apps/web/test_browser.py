@@ -20,12 +20,12 @@ from tests import optional
 from tests.apps.web.pages import serve
 from viser.transforms import SO3
 
-from momapos.apps.web import moving
+from momapos.apps.web import playback
 from momapos.apps.web.page import Page
 from momapos.apps.web.playback import Moment, Story
 from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.static import write_page
-from momapos.core.texts import escape_markdown
+from momapos.core.errors import escape_markdown
 from momapos.model.records.scans import Cloud
 from momapos.perception.records import Modeled
 
@@ -358,8 +358,8 @@ def test_a_slow_browser_draws_few_points_while_its_camera_moves_and_all_at_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     page, address = site
-    monkeypatch.setattr(moving, "SLOW_FRAME_TIME", 0.0)  # with any renderer
-    monkeypatch.setattr(moving, "REST_TIME", 5.0)  # even if the mouse is slow
+    monkeypatch.setattr(playback, "SLOW_FRAME_TIME", 0.0)  # with any renderer
+    monkeypatch.setattr(playback, "REST_TIME", 5.0)  # even if the mouse is slow
     points = np.random.default_rng(0).uniform([0.0, -3.0, 0.0], [4.0, 0.0, 2.0], (60_000, 3))
     cloud = Cloud(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)),
                   np.zeros((len(points), 3), np.uint8))  # fmt: skip

@@ -11,9 +11,9 @@ import pytest
 from momapos.apps.web.cameras import FIELD, front_of, hidden, task_viewpoint
 from momapos.apps.web.card import TONES, WORKING, Card
 from momapos.apps.web.colors import VERDICTS
-from momapos.apps.web.guide import WORDS, Guide, guide_html
-from momapos.apps.web.stage_card import StageCard
-from momapos.apps.web.static_overlay import phases, with_overlay
+from momapos.apps.web.page import StageCard
+from momapos.apps.web.panel import WORDS, Guide, guide_html
+from momapos.apps.web.static import phases, with_overlay
 from momapos.model.scene.scene_files import load_scene
 
 EVIL = "</script><script>alert(1)</script>"

@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from momapos.apps.plots.candidate_markers import KINDS
+from momapos.apps.plots.answer_plot import KINDS
 from momapos.apps.plots.palette import RELATIONS
+from momapos.apps.web.answer_view import legend_rows
 from momapos.apps.web.colors import (
     COMPARED,
     DRIVE,
@@ -21,7 +22,6 @@ from momapos.apps.web.colors import (
     VERDICTS,
     rgb,
 )
-from momapos.apps.web.legend import legend_rows
 from momapos.apps.web.panel import LAYERS
 from momapos.apps.web.scan_view import BACKGROUND, OBJECT_COLORS
 

@@ -18,12 +18,12 @@ from tests import optional
 from tests.apps.web.pages import serve
 from viser import LineSegmentsHandle
 
-from momapos.apps.web import answer_layers
+from momapos.apps.web import answer_view
 from momapos.apps.web.card import Card
+from momapos.apps.web.extras import FILMS, render, send_film
 from momapos.apps.web.map_layers import box_edges
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
-from momapos.apps.web.saving import FILMS, render, send_film
 from momapos.apps.web.scan_view import (
     BACKGROUND,
     COARSE_POINTS,
@@ -34,11 +34,11 @@ from momapos.apps.web.scan_view import (
 )
 from momapos.apps.web.words import answer_card
 from momapos.core.errors import InputError
-from momapos.core.geometry.upright_boxes import UprightBox, box_axes
+from momapos.core.geometry.polygons import UprightBox, box_axes
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.scans import Cloud, Detection
 from momapos.perception.records import Decision, Modeled
-from momapos.simulation.film_files import GIF, MP4
+from momapos.simulation.film import GIF, MP4
 
 LONG = 60.0
 
@@ -96,7 +96,7 @@ def test_a_layer_of_an_outdated_answer_is_removed(
         page.server.scene.add_frame(f"{name}/late")
         layers.clear()
 
-    monkeypatch.setitem(answer_layers.DRAW, "path", answered_meanwhile)
+    monkeypatch.setitem(answer_view.DRAW, "path", answered_meanwhile)
     reach = arms.reach_of(answer.prepared.robot.arm)
     page.layers.show(scene, answer, reach)
     assert page.layers.wait(LONG)
@@ -244,7 +244,7 @@ def test_a_slow_layer_does_not_delay_others_and_is_canceled_when_switched_off(
         finally:
             ended.set()
 
-    monkeypatch.setitem(answer_layers.DRAW, "opening", endless)
+    monkeypatch.setitem(answer_view.DRAW, "opening", endless)
     boxes = page.panel.layers
     boxes["opening"].value = True
     page.layers.changed()
@@ -270,7 +270,7 @@ def test_layers_are_canceled_without_browsers(page: Page, monkeypatch: pytest.Mo
         while True:
             clock()
 
-    monkeypatch.setitem(answer_layers.DRAW, "opening", endless)
+    monkeypatch.setitem(answer_view.DRAW, "opening", endless)
     page.panel.layers["opening"].value = True
     page.layers.changed()
     assert begun.wait(LONG)

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from tests.apps.web.pages import serve
 
-from momapos.apps.web.how_far import HowFar, how_far
 from momapos.apps.web.page import Page
+from momapos.apps.web.panel import HowFar, how_far
 from momapos.core.errors import TaskError
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task

@@ -21,10 +21,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from momapos.apps.web.incoming import MAX_BYTES, Gate, accepts, small_png
-from momapos.apps.web.origin import LOG
 from momapos.apps.web.page import Page
-from momapos.apps.web.serve import Server, quiet
+from momapos.apps.web.serve import LOG, MAX_BYTES, Gate, Server, accepts, quiet, small_png
 
 LONG = 60.0
 SPOKEN = Subprotocol(f"viser-v{viser.__version__}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from momapos.apps.web import notebook_page as inline
+from momapos.apps.web import static as inline
 from momapos.core.errors import InputError
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.apps.web.pages import serve
 
-from momapos.apps.web.light import SUN_NODE
+from momapos.apps.web.cameras import SUN_NODE
 from momapos.apps.web.page import Page
 from momapos.model.records.scans import Cloud
 from momapos.model.scene.model_copies import copied

@@ -11,9 +11,8 @@ import pytest
 from momapos.apps.web.map_layers import box_edges, covered, free_area
 from momapos.apps.web.playback import Story
 from momapos.apps.web.words import answer_card
-from momapos.core.geometry.planar import place_points
-from momapos.core.geometry.transforms import pose_planar
-from momapos.core.texts import escape_markdown
+from momapos.core.errors import escape_markdown
+from momapos.core.geometry.transforms import place_points, pose_planar
 from momapos.model.records.outcomes import Tolerance
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene

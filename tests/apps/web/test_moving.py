@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from viser import ClientHandle, ViserServer
 
-from momapos.apps.web import moving
-from momapos.apps.web.moving import (
+from momapos.apps.web import playback
+from momapos.apps.web.playback import (
     FRAME_GAPS,
     NEW_MOVEMENT_TIME,
     REST_TIME,
@@ -171,9 +171,9 @@ def test_nothing_is_sent_to_a_disconnected_browser(browser: Browser) -> None:
 
 
 def test_only_the_browser_whose_camera_moves_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(moving, "SLOW_FRAME_TIME", -1.0)
-    monkeypatch.setattr(moving, "SAME_FRAME_TIME", 0.0)
-    monkeypatch.setattr(moving, "REST_TIME", 0.0)
+    monkeypatch.setattr(playback, "SLOW_FRAME_TIME", -1.0)
+    monkeypatch.setattr(playback, "SAME_FRAME_TIME", 0.0)
+    monkeypatch.setattr(playback, "REST_TIME", 0.0)
     came: list[Any] = []
     went: list[Any] = []
     loop = asyncio.new_event_loop()

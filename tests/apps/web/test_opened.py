@@ -10,20 +10,18 @@ import numpy as np
 import pytest
 
 from momapos.apps.cli.main import main
-from momapos.apps.cli.view_sources import kind_of, scenes_in, source_in
-from momapos.apps.web.opened import Opened, quantity_text
-from momapos.apps.web.run_story import RunStory
+from momapos.apps.cli.view import kind_of, scenes_in, source_in
+from momapos.apps.web.opened import Opened, RunStory, quantity_text
 from momapos.apps.web.static import page_of
 from momapos.apps.web.words import run_card
 from momapos.core.errors import InputError
 from momapos.core.units import parse_quantity
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.simulation.run_motion import RunMotion
-from momapos.simulation.run_record import Execution, Load, RunRecord, write_run
+from momapos.simulation.run_record import Execution, Load, RunMotion, RunRecord, write_run
 
 DONE = Execution(True, "", "contact", 0.0, 1.5, 1.5, load=Load(31.0, 2.0), ending="it went well")
 MOTION = RunMotion(

@@ -13,8 +13,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from momapos.apps.web import serve
-from momapos.apps.web.origin import allowed
-from momapos.apps.web.serve import open_server
+from momapos.apps.web.serve import allowed, open_server
 from momapos.core.errors import MissingExtraError
 
 SPOKEN = [Subprotocol(f"viser-v{viser.__version__}")]

@@ -12,10 +12,15 @@ import trimesh
 from viser import SceneApi
 
 from momapos.apps.web import colors
-from momapos.apps.web.bodies import Surface
 from momapos.apps.web.colors import rgb
-from momapos.apps.web.crowd import MAX_TRIANGLES, ColoredSurface, batched, object_hit
-from momapos.apps.web.room_view import RoomView
+from momapos.apps.web.room_view import (
+    MAX_MERGED,
+    ColoredSurface,
+    RoomView,
+    Surface,
+    batched,
+    object_hit,
+)
 from momapos.apps.web.serve import open_server
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -69,7 +74,7 @@ def test_a_thousand_objects_are_few_nodes(room: RoomView) -> None:
     drawn = sum(len(node.faces) for node in room._batches.nodes)
     parts = [part for item in HALL.objects for part in room._batched[item.name]]
     assert drawn == sum(len(part.surface.faces) for part in parts if part.object != "fridge")
-    assert all(len(node.faces) <= MAX_TRIANGLES for node in room._batches.nodes)
+    assert all(len(node.faces) <= MAX_MERGED for node in room._batches.nodes)
 
 
 @pytest.mark.parametrize(("checked", "hulls"), [("box", 12), ("ball", 1280)])
@@ -107,9 +112,9 @@ def test_a_surface_with_many_triangles_has_its_own_node() -> None:
             name, Surface(np.eye(3), np.tile([0, 1, 2], (count, 1))), (color, 0, 0)
         )
 
-    small, large, other = part("small", 10), part("large", MAX_TRIANGLES + 1), part("other", 1, 9)
+    small, large, other = part("small", 10), part("large", MAX_MERGED + 1), part("other", 1, 9)
     assert batched([small, large, small, other]) == [[small], [large], [small], [other]]
-    half = part("half", MAX_TRIANGLES // 2)
+    half = part("half", MAX_MERGED // 2)
     assert batched([half, other, half, half]) == [[half, half], [half], [other]]
     assert batched([]) == []
 

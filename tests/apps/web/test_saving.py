@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.apps.web.pages import serve
 
-from momapos.apps.web.saving import file_in, save_plan, save_room
+from momapos.apps.web.extras import file_in, save_plan, save_room
 from momapos.core.errors import InputError
 from momapos.model.scene.scene_files import load_scene
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from momapos.apps.web.panel import Resender, send_pose, send_value
 from momapos.apps.web.serve import open_server
-from momapos.apps.web.settled import Resender, send_pose, send_value
 
 LONG = 20.0
 
@@ -27,7 +27,7 @@ def test_many_changes_are_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
         if len(set(told)) == 2:
             both.set()
 
-    monkeypatch.setattr("momapos.apps.web.settled.send_value", tell)
+    monkeypatch.setattr("momapos.apps.web.panel.send_value", tell)
     resender = Resender(wait=0.3)
     for _ in range(5):
         resender.control(control("a"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from momapos.apps.web.point_order import LEVELS, spread_order
+from momapos.apps.web.scan_view import LEVELS, spread_order
 
 
 def uneven(rng: np.random.Generator) -> np.ndarray:

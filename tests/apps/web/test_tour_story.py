@@ -11,9 +11,8 @@ import pytest
 from tests.apps.web.pages import serve
 
 from momapos.apps.cli.main import main
-from momapos.apps.cli.view_sources import opened_source
-from momapos.apps.web.opened import Opened
-from momapos.apps.web.tour_story import TourStory
+from momapos.apps.cli.view import opened_source
+from momapos.apps.web.opened import Opened, TourStory
 from momapos.core.errors import InputError
 from momapos.model.plan_files.tour_format import read_tour
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from momapos.apps.cli.compile import compile_once
-from momapos.core.compiled import F1, F2, arrays, entry, kernel
+from momapos.core.compiled import F1, F2, entry, kernel, kernel_source
 from momapos.core.compiled import code_store as stores
 from momapos.core.compiled.code_store import Store, decode, encode
 from momapos.core.compiled.entries import Kernel
@@ -144,15 +144,15 @@ def test_the_location_of_a_kernel_does_not_change_its_stamp() -> None:
     ids=["dtype", "stride", "ndim", "list"],
 )
 def test_an_array_of_another_type_is_rejected(x: object) -> None:
-    assert arrays.checker(F1)(X)
-    assert not arrays.checker(F1)(x)
+    assert kernel_source.checker(F1)(X)
+    assert not kernel_source.checker(F1)(x)
 
 
 def test_a_read_only_array_is_rejected_where_it_may_be_written() -> None:
     read_only = X.copy()
     read_only.flags.writeable = False
-    assert not arrays.checker(F1)(read_only)
-    assert not arrays.checker(F2)(X)
+    assert not kernel_source.checker(F1)(read_only)
+    assert not kernel_source.checker(F2)(X)
 
 
 def test_arguments_of_other_types_go_through_the_dispatcher(
@@ -170,7 +170,7 @@ def test_every_entry_has_types_that_can_be_compiled() -> None:
     assert len(entries) > 20
     for one in entries:
         assert [numba_type(hint) for hint in one.types]
-        assert [arrays.checker(hint) for hint in one.types]
+        assert [kernel_source.checker(hint) for hint in one.types]
 
 
 _WITHOUT_NUMBA = """

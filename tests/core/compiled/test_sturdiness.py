@@ -130,7 +130,7 @@ def test_two_processes_can_fill_one_store_concurrently(tmp_path: Path) -> None:
 _INTERRUPTED = """
 import signal
 import numpy as np
-from momapos.core.geometry.monotone_chain import _chain
+from momapos.core.geometry.polygons import _chain
 
 class Interrupt(BaseException):
     pass

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from momapos.core.geometry.monotone_chain import convex_hull
-from momapos.core.geometry.polygons import signed_area
+from momapos.core.geometry.polygons import convex_hull, signed_area
 
 
 @pytest.mark.parametrize("count", [3, 4, 10, 100, 1000])

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from momapos.core.geometry.planar import compose, local_points, place_points
-from momapos.core.geometry.transforms import apply, pose_planar, wrap_angle
+from momapos.core.geometry.transforms import (
+    apply,
+    compose,
+    local_points,
+    place_points,
+    pose_planar,
+    wrap_angle,
+)
 
 RNG = np.random.default_rng(0)
 POSES = RNG.uniform(-4, 4, (30, 3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from momapos.core.geometry.cube_samples import halton, latin_hypercube
+from momapos.core.geometry.points import halton, latin_hypercube
 
 
 @pytest.mark.parametrize(("count", "dimensions"), [(1, 1), (7, 3), (512, 3), (1024, 3), (100, 8)])

@@ -8,14 +8,14 @@ import trimesh
 from tests.model.collision.exact_hulls import directions, hulls_meet, random_states
 
 from momapos.model.collision.arm_collision import place_segments
-from momapos.model.collision.hull_overlap import (
+from momapos.model.collision.link_hulls import (
+    BIN_CENTERS,
     DIRECTION_BINS,
     MAX_SCANNED_VERTICES,
     climb,
     direction_bin,
     hulls_overlap,
 )
-from momapos.model.collision.link_hulls import BIN_CENTERS
 from momapos.model.collision.self_collision import arm_spheres
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain, build_chain, chain_arrays

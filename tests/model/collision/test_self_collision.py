@@ -13,7 +13,7 @@ from momapos.model.collision.arm_collision import place_segments
 from momapos.model.collision.self_collision import arm_spheres, contacts, decided_by_hulls
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain, build_chain, chain_arrays
-from momapos.model.robots.arm_states import (
+from momapos.model.robots.load_limits import (
     inevitable_pairs,
     sample_states,
     self_collision_shares,

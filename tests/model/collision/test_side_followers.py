@@ -12,9 +12,9 @@ from tests.urdf_parts import box, joint, link, mobile_manipulator
 from momapos.core.errors import RobotError
 from momapos.core.geometry.transforms import apply, invert
 from momapos.model.collision.self_collision import contacts
-from momapos.model.collision.side_followers import never_touching, with_swept_followers
+from momapos.model.collision.spheres import never_touching, with_swept_followers
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.verification.plan_check import UrdfArm
 
 WIDE = '<limit lower="-9" upper="9" effort="1" velocity="1"/>'

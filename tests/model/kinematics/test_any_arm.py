@@ -13,8 +13,7 @@ from tests.model.kinematics import arms
 from momapos.core.errors import RobotError
 from momapos.model.kinematics.chain import Chain
 from momapos.model.kinematics.closed_forms import NUMERIC, WRIST_MEETING
-from momapos.model.kinematics.ik import build_ik, solve_ik
-from momapos.model.kinematics.ik_model import MAX_SAMPLES
+from momapos.model.kinematics.ik import MAX_SAMPLES, build_ik, solve_ik
 
 ARMS = {
     "spherical shoulder": arms.spherical_shoulder(),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import rotation_about
-from momapos.model.kinematics.dexterity import jacobians, least_dexterity, travel_of_arm
+from momapos.model.kinematics.tool_tracking import jacobians, least_dexterity, travel_of_arm
 from momapos.model.robots.robot import load_robot
 
 

@@ -8,8 +8,7 @@ import pytest
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.kinematics.chain import Chain, with_base_slides
 from momapos.model.kinematics.closed_forms import NUMERIC, SLIDES
-from momapos.model.kinematics.ik import build_ik, solve_ik
-from momapos.model.kinematics.ik_model import bounded, slides_and_wrist
+from momapos.model.kinematics.ik import bounded, build_ik, find_slides_and_wrist, solve_ik
 from momapos.model.robots.robot import load_robot
 
 
@@ -49,7 +48,7 @@ def test_slides_and_a_wrist_have_a_closed_form(name: str, count: int, least: flo
 
 def test_an_arm_with_two_slides_has_no_closed_form() -> None:
     chain = load_robot("stretch").chain
-    assert slides_and_wrist(chain) is None
+    assert find_slides_and_wrist(chain) is None
     assert build_ik(chain).kind == NUMERIC
 
 
@@ -57,6 +56,6 @@ def test_slides_that_do_not_span_space_are_no_closed_form() -> None:
     """Both slides of this base and the telescope are horizontal, so nothing lifts the hand."""
     chain = on_slides("stretch", 1)
     flat = with_base_slides(chain, np.eye(3)[:1], 0.8)
-    kept = slides_and_wrist(flat)
+    kept = find_slides_and_wrist(flat)
     assert kept is not None
     assert len({0, 1} & set(kept)) == 1  # the other one is locked

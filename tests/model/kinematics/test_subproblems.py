@@ -15,10 +15,18 @@ from tests.model.kinematics import arms
 
 from momapos.core.geometry.transforms import pose, rotation_about
 from momapos.model.kinematics.chain import forward, stand_at_origin
-from momapos.model.kinematics.ik import arm_arrays, build_ik, ik_scratch, nearest_seeds
-from momapos.model.kinematics.ik_model import one_turn, pose_features
-from momapos.model.kinematics.newton_steps import jacobian, rotation_error, solve_spd
-from momapos.model.kinematics.subproblems import mul, mul_t, rot, sp1, sp3, sp4
+from momapos.model.kinematics.closed_forms import mul, mul_t, rot, sp1, sp3, sp4
+from momapos.model.kinematics.ik import (
+    arm_arrays,
+    build_ik,
+    ik_scratch,
+    jacobian,
+    nearest_seeds,
+    one_turn,
+    pose_features,
+    rotation_error,
+    solve_spd,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,8 +7,7 @@ import pytest
 from jaxtyping import Float
 
 from momapos.core.geometry.transforms import pose_planar
-from momapos.model.kinematics.dexterity import jacobians
-from momapos.model.kinematics.tool_tracking import track_tools
+from momapos.model.kinematics.tool_tracking import jacobians, track_tools
 from momapos.model.robots.robot import Robot
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.rooms import Everywhere, cabinet_room
 
-from momapos.apps.cli.plan_sources import _robot
+from momapos.apps.cli.loading import _robot
 from momapos.core.errors import FileFormatError, RobotError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.records.plans import PlacementPlan

@@ -9,9 +9,9 @@ from pathlib import Path
 from tests.urdf_parts import LIMIT, box, fixed_arm, joint, link
 
 from momapos.model.robots.amended_urdf import Amendments
-from momapos.model.robots.drive_guess import DriveGuess, drive_of
+from momapos.model.robots.base_guess import DriveGuess, drive_of
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.robots.running_gear import drawn_meshes, find_running_gear
 from momapos.model.urdf.articulated import Articulated
 

@@ -15,13 +15,11 @@ from tests.urdf_parts import box, fixed_arm, joint, link, mobile_manipulator
 from momapos.apps.cli.robot import robot_check
 from momapos.core.errors import InputError, MomaposError, RobotError, UrdfError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.amended_urdf import BOX, AddedFrame, Amendments, Mount
-from momapos.model.robots.derive import RobotSource, derive_robot
+from momapos.model.robots.derive import RobotSource, derive_robot, write_robot
 from momapos.model.robots.gripper_guess import points_of
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.urdf.reader import read_urdf
 
 MESH = '<mesh filename="package://shapes/plate.stl"/>'

@@ -12,13 +12,12 @@ from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipul
 
 from momapos.apps.cli.robot import robot_check, robot_show
 from momapos.core.errors import MomaposError, RobotError, UnknownNameError
-from momapos.model.robots.arm_states import sample_states, touches
-from momapos.model.robots.derive import derive_robot
-from momapos.model.robots.examination import examine
-from momapos.model.robots.resting_states import Body, resting_states
+from momapos.model.robots.derive import derive_robot, write_robot
+from momapos.model.robots.homes import RobotBody, resting_states
+from momapos.model.robots.load_limits import sample_states, touches
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_names import find_named_robot, find_robot, library_file
-from momapos.model.robots.robot_writer import write_robot
+from momapos.model.robots.robot_tests import examine
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,7 @@ def test_the_home_of_an_arm_lets_the_lift_move_end_to_end(twin: Path) -> None:
     q = q[~touches(robot.chain, robot.spheres, q, floor=True)]
     clear = lowered(robot, q)
 
-    body = Body(robot.footprint, 1.0)
+    body = RobotBody(robot.footprint, 1.0)
 
     def rest(states: np.ndarray, torso: Sequence[int] = ()) -> np.ndarray:
         every, rng = range(robot.chain.size), np.random.default_rng(0)

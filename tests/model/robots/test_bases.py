@@ -25,8 +25,8 @@ from tests.real import CASES
 from tests.urdf_parts import box, joint, link
 
 from momapos.apps.cli.main import main
-from momapos.model.robots.examination import examine
 from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot_tests import examine
 
 PAIR = at([(0.0, 0.2), (0.0, -0.2)])
 DRIVES: dict[str, tuple[list[Axle], str, str]] = {

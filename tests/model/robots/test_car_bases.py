@@ -13,10 +13,10 @@ from tests.model.robots.rovers import CORNERS, FRONT, REAR, Axle, at, derived, g
 from tests.real import CASES
 
 from momapos.core.errors import RobotError
-from momapos.model.robots.drive_guess import ASSUMED_STEERING
-from momapos.model.robots.examination import examine
+from momapos.model.robots.base_guess import ASSUMED_STEERING
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
+from momapos.model.robots.robot_tests import examine
 
 ACKERMANN = at(REAR) + at(FRONT, steering=0.46)
 RADIUS = 0.2 + 0.4 / math.tan(0.46)

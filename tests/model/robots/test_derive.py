@@ -19,13 +19,12 @@ from tests.urdf_parts import LIMIT, box, joint, link, mobile_manipulator
 from momapos.apps.cli.robot import robot_check, robot_export, robot_list, robot_show
 from momapos.core.errors import MomaposError, RobotError, UnknownNameError
 from momapos.model.collision.spheres import build_spheres
-from momapos.model.robots.arm_states import sample_states, touches
-from momapos.model.robots.derive import derive_robot
-from momapos.model.robots.examination import examine
+from momapos.model.robots.derive import derive_robot, write_robot
 from momapos.model.robots.gripper_guess import points_of
+from momapos.model.robots.load_limits import sample_states, touches
 from momapos.model.robots.robot import ASSUMED_FORCE, Grip, load_arms, load_robot, read_robot
 from momapos.model.robots.robot_names import library_names
-from momapos.model.robots.robot_writer import write_robot
+from momapos.model.robots.robot_tests import examine
 
 FETCH = DATA / "robots" / "fetch"
 
@@ -288,7 +287,7 @@ def test_a_robot_that_cannot_be_read_back_leaves_no_files(
         raise RobotError(f"{path}: is invalid")
 
     with monkeypatch.context() as patch:
-        patch.setattr("momapos.model.robots.robot_writer.load_arms", broken)
+        patch.setattr("momapos.model.robots.derive.load_arms", broken)
         with pytest.raises(RobotError, match=r"robot\.toml: is invalid"):
             write_robot(urdf)
     assert list(urdf.parent.iterdir()) == [urdf]

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from tests.urdf_parts import box, joint, link, mobile_manipulator, telescope
 
 from momapos.core.geometry.transforms import apply, invert
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.fingers import MAX_PAD_ANGLE
 from momapos.model.robots.hand_openings import opened_to
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.urdf.hulls import hull_around, slab
 from momapos.planning.grasps.hand_boxes import empty_handed, hand_of
 

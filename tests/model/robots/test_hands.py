@@ -13,8 +13,8 @@ from tests.urdf_parts import box, joint, link, mobile_manipulator
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import RobotError
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Grip, Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.planning.grasps.hand_boxes import empty_handed, hand_of
 
 CRANK, FINGER = 0.06, 0.05

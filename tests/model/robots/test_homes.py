@@ -15,10 +15,10 @@ from momapos.model.collision.self_collision import contacts
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain
 from momapos.model.robots import homes
-from momapos.model.robots.arm_states import sample_states, touches
-from momapos.model.robots.resting_states import Body, RestingState, resting_states
+from momapos.model.robots.derive import write_robot
+from momapos.model.robots.homes import RestingState, RobotBody, resting_states
+from momapos.model.robots.load_limits import sample_states, touches
 from momapos.model.robots.robot import Robot, load_arms, load_robot
-from momapos.model.robots.robot_writer import write_robot
 
 
 def written(folder: Path, text: str) -> Path:
@@ -251,7 +251,7 @@ def test_further_candidates_for_a_home_are_elsewhere(
 ) -> None:
     robot = load_robot(written(tmp_path, mobile_manipulator()))
     q = sample_states(robot.chain, np.random.default_rng(0))
-    body = Body(robot.footprint, 1.0)
+    body = RobotBody(robot.footprint, 1.0)
     found = resting_states(
         robot.chain, robot.spheres, body, q, count=3, rng=np.random.default_rng(0)
     )

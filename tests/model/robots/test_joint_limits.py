@@ -10,8 +10,8 @@ from tests.urdf_parts import mobile_manipulator
 
 from momapos.core.errors import MomaposError
 from momapos.model.records.plans import Motion
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.trajectory import DEFAULT, time_motion
 
 JOINTS = 7

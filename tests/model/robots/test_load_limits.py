@@ -16,13 +16,13 @@ from momapos.apps.cli.main import main
 from momapos.core.geometry import contains
 from momapos.core.units import GRAVITY
 from momapos.model.kinematics.statics import BASE
-from momapos.model.records.loads import MAX_EFFORT_SHARE, MIN_STABILITY
 from momapos.model.records.outcomes import PoseStatus
+from momapos.model.records.plans import MAX_EFFORT_SHARE, MIN_STABILITY
+from momapos.model.robots.derive import write_robot
 from momapos.model.robots.load_limits import robot_loads
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.robots.robot_names import LIBRARY
-from momapos.model.robots.robot_writer import write_robot
-from momapos.model.robots.wheel_contacts import support_outline
+from momapos.model.robots.running_gear import support_outline
 
 Robots = Callable[[str], Robot]
 ROBOTS = ("fetch", "stretch", "ranger_rm63")

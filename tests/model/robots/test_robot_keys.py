@@ -9,7 +9,7 @@ import pytest
 
 from momapos.core.errors import RobotError
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_keys import MAX_IGNORED_KEYS, ignored_keys
+from momapos.model.robots.robot_file import MAX_IGNORED_KEYS, ignored_keys
 from momapos.model.robots.robot_names import library_file, library_names
 
 

@@ -8,9 +8,8 @@ import pytest
 from tests.urdf_parts import mobile_manipulator
 
 from momapos.core.errors import RobotError
-from momapos.model.robots.derive import derive_robot
+from momapos.model.robots.derive import derive_robot, write_robot
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.robots.srdf import find_srdf, read_srdf, srdf_text
 
 TEXT = (

@@ -17,9 +17,8 @@ from tests.urdf_parts import mobile_manipulator
 
 from momapos.core.errors import MomaposError, RobotError
 from momapos.model.robots import xacro
-from momapos.model.robots.derive import RobotSource
+from momapos.model.robots.derive import RobotSource, write_robot
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_writer import write_robot
 from momapos.model.robots.xacro import expand_xacro
 
 HEAD = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r">'

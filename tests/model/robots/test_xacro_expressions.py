@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from momapos.model.robots.xacro_expressions import MATH, PYTHON, checked, evaluate
+from momapos.model.robots.xacro_program import MATH, PYTHON, checked, evaluate
 
 
 class Space(dict[str, Any]):

@@ -11,8 +11,7 @@ import pytest
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError, SceneError
 from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.scene.floor_areas import find_area, read_areas
-from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene import Scene, find_area, read_areas
 from momapos.model.scene.scene_files import load_scene, save_scene
 
 TRIANGLE = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0))

@@ -13,8 +13,7 @@ from tests import optional
 from tests.real import DATA
 
 from momapos.core.errors import FileFormatError, SceneError, UrdfError
-from momapos.model.scene.arithmetic import number
-from momapos.model.scene.bestman import category_of
+from momapos.model.scene.bestman import category_of, number
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject

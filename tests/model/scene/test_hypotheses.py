@@ -11,7 +11,7 @@ import pytest
 
 from momapos.core.errors import SceneError, UnknownNameError
 from momapos.model.records.scans import Hypothesis
-from momapos.model.scene.hypotheses import hypotheses_to_json
+from momapos.model.scene.object_reader import hypotheses_to_json
 from momapos.model.scene.scene_files import load_scene, save_scene
 
 LEFT = Hypothesis("door_left", 0.75, (-0.3, -0.2, 0.0), (0.0, 0.0, -1.0), 1.5)

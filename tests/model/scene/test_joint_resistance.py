@@ -22,7 +22,7 @@ from tests.cupboards import (
 
 from momapos.core.errors import InputError, UrdfError
 from momapos.core.units import GRAVITY
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance
 from momapos.model.scene.joint_resistance import (
     assumes_springs,
     has_seal,

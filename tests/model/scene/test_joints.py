@@ -13,7 +13,7 @@ from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.joint_values import set_joints
+from momapos.model.scene.scene import set_joints
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task

@@ -25,7 +25,7 @@ from tests.shapes import unchecked
 from momapos.core.errors import InputError, MissingExtraError, UnknownNameError
 from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
 from momapos.model.scene.library import kitchen_writer as writer
-from momapos.model.scene.library.box_furniture import (
+from momapos.model.scene.library.kitchen_writer import (
     MAX_TOUCH_OVERLAP,
     Box,
     FurniturePart,

@@ -23,8 +23,7 @@ from tests.cupboards import (
 )
 
 from momapos.core.errors import MomaposError
-from momapos.model.records.latches import Latch
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance, Latch
 from momapos.model.scene.latches import latch_guess, latch_to_turn, part_values
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene

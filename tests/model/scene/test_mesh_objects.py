@@ -16,7 +16,7 @@ from tests.shapes import unchecked
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.formats.mjcf_writer import write_mjcf
+from momapos.model.scene.formats.importing import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject

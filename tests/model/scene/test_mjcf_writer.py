@@ -15,9 +15,8 @@ from tests.cupboards import DOOR, HINGE, carcass, furniture_room
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.formats.importing import write_room
+from momapos.model.scene.formats.importing import write_mjcf, write_room
 from momapos.model.scene.formats.mjcf import read_room
-from momapos.model.scene.formats.mjcf_writer import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, object_members
 from momapos.planning.grasps.task_requests import make_task

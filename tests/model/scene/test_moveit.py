@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from momapos.apps.cli.main import main
-from momapos.apps.export.planning_scene import write_scene
+from momapos.apps.export.ros2 import write_scene
 from momapos.core.errors import MomaposError
 from momapos.core.geometry.transforms import apply, pose_planar
 from momapos.model.scene.formats.importing import write_room

@@ -16,7 +16,7 @@ from momapos.core.errors import MomaposError
 from momapos.model.scene.formats.imported_room import ImportReport
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.kinds import kind_of_file
-from momapos.model.scene.formats.moveit_message import read_room
+from momapos.model.scene.formats.moveit import read_message
 from momapos.model.scene.scene import Scene
 
 SCENE = """
@@ -91,7 +91,7 @@ def one(**changes: str) -> str:
 def read(folder: Path, text: str) -> tuple[Scene, ImportReport]:
     path = folder / "scene.yaml"
     path.write_text(text)
-    room = read_room(path, folder)
+    room = read_message(path, folder)
     return write_room(room, path, folder / "out.json"), room.final_report()
 
 

@@ -21,7 +21,7 @@ from momapos.model.scene.other_motion import (
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 
 WAYS = (
     Hypothesis("door_right", 0.5, (-0.215, 0.29, 0.1), (0.0, 0.0, -1.0), 1.3),

@@ -14,9 +14,7 @@ from tests.cupboards import DOOR, FOLLOWERS, HINGE, carcass, furniture_room
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError, MomaposError, UrdfError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.resistances import JointResistance
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import JointResistance, PlacementPlan, Task
 from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject

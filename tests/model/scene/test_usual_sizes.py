@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from momapos.core.errors import SceneError
-from momapos.model.scene.room_limits import check_room_size
+from momapos.model.scene.object_reader import UNITS, size_hint, unit_factors, usual_edge
 from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import check_room_size
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.scene.usual_sizes import UNITS, size_hint, unit_factors, usual_edge
 
 FRIDGE = (0.6, 0.7, 1.8)
 

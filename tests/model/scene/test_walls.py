@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from momapos.apps.cli.main import main
 from momapos.core.errors import SceneError
 from momapos.core.geometry.polygons import contains, edge_distances
-from momapos.model.scene.formats.mjcf_writer import write_mjcf
+from momapos.model.scene.formats.importing import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.scene.walls import Wall, walls_around
+from momapos.model.scene.scene_object import SceneObject, Wall, walls_around
 
 SQUARE = [[0, 0], [4, 0], [4, 3], [0, 3]]
 L_SHAPE = [[0, 0], [4, 0], [4, 2], [2, 2], [2, 4], [0, 4]]

@@ -18,7 +18,7 @@ from momapos.model.urdf.convex_pieces import FINE, convex_pieces
 from momapos.model.urdf.hulls import hull_around
 from momapos.model.urdf.meshes import mesh_triangles
 from momapos.model.urdf.reader import read_urdf
-from momapos.planning.grasps.swept_boxes import convex_of
+from momapos.planning.grasps.handle_shapes import convex_of
 
 ROUNDING = 1e-6
 SHAPES = {

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.model.urdf.recent_points import RecentPoints
+from momapos.model.urdf.meshes import RecentPoints
 
 
 def test_the_least_recently_used_vertices_go_first() -> None:

@@ -11,11 +11,10 @@ from jaxtyping import Bool, Float
 from tests import optional
 from tests.real import CASES
 
-from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf.articulated import CUT, Articulated, StaticElement
 from momapos.model.urdf.hulls import Boxes, Hull
 from momapos.model.urdf.reader import read_urdf
-from momapos.model.urdf.static_shapes import CUT, StaticElement
-from momapos.planning.grasps.swept_boxes import convex_of
+from momapos.planning.grasps.handle_shapes import convex_of
 
 TRAY: tuple[given.Box, ...] = (
     ((-0.25, -0.2, 0.0), (0.25, 0.2, 0.01)),

@@ -17,7 +17,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.furniture import read_furniture
 from momapos.model.urdf.reader import read_urdf
 from momapos.model.urdf.urdf_records import Urdf
-from momapos.simulation.dynamics import read_dynamics
+from momapos.simulation.robot_dynamics import read_dynamics
 
 BOX = '<geometry><box size="0.1 0.2 0.3"/></geometry>'
 LIMIT = '<limit lower="-1" upper="2" effort="5" velocity="1"/>'

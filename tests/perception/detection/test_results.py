@@ -18,10 +18,13 @@ import pytest
 
 from momapos.core.errors import FileFormatError
 from momapos.model.records.scans import Frame
-from momapos.perception.detection.categories import read_categories
-from momapos.perception.detection.coco import CATEGORIES
-from momapos.perception.detection.coco_results import Results, read_coco
-from momapos.perception.detection.frontal_scores import read_frontal
+from momapos.perception.detection.coco import (
+    CATEGORIES,
+    Results,
+    read_categories,
+    read_coco,
+    read_frontal,
+)
 
 
 def frames() -> list[Frame]:

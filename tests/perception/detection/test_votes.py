@@ -9,11 +9,17 @@ import pytest
 from tests.perception.views.painted_box import FRIDGE, camera, image
 
 from momapos.core.errors import InputError, UnknownNameError
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Frame, ImageDetection
-from momapos.perception.detection.relabel import parse_labels, relabeled, with_given_labels
-from momapos.perception.detection.votes import Verdict, visible_points, vote
+from momapos.perception.detection.relabel import (
+    Verdict,
+    parse_labels,
+    relabeled,
+    visible_points,
+    vote,
+    with_given_labels,
+)
 
 EYES = [(-0.5, 0.5, 1.0), (-0.4, 0.2, 1.2), (-0.6, 0.9, 1.1), (-0.3, 0.0, 1.3), (-0.5, 1.2, 1.0)]
 TOLD = frozenset({"fridge", "cup", "microwave"})

@@ -15,9 +15,16 @@ import momapos.perception.reconstruction
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.records.scans import Frame, ImageDetection
 from momapos.perception.detection.coco import COCO80, LABELS, WITHOUT_DOORS, label_of_class
-from momapos.perception.detection.frames import detect, turned_back, turns_to_upright
-from momapos.perception.detection.votes import LONGEST_EDGE
-from momapos.perception.detection.yolox import YoloxDetector, decode, letterbox, suppress
+from momapos.perception.detection.relabel import LONGEST_EDGE
+from momapos.perception.detection.yolox import (
+    YoloxDetector,
+    decode,
+    detect,
+    letterbox,
+    suppress,
+    turned_back,
+    turns_to_upright,
+)
 from momapos.perception.recordings.scan_reader import read_scan
 
 FRONT = Path(momapos.perception.reconstruction.__file__).parent / "weights" / "front_face.onnx"

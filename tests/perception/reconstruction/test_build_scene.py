@@ -10,11 +10,10 @@ from tests.perception.reconstruction.fronts import face_of
 from tests.real import furniture
 
 from momapos.core.errors import InputError, UnknownNameError
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import rotation_about
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Detection, Part
-from momapos.model.scene.library.box_furniture import Piece
-from momapos.model.scene.library.kitchen_writer import urdf_text
+from momapos.model.scene.library.kitchen_writer import Piece, urdf_text
 from momapos.model.scene.model_copies import model_files
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated

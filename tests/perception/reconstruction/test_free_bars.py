@@ -9,7 +9,7 @@ import pytest
 from tests.perception.reconstruction.fronts import face_of, raised
 
 from momapos.model.records.scans import FaceImage, Part
-from momapos.perception.reconstruction.free_bars import parts_from_bars
+from momapos.perception.reconstruction.bars import parts_from_bars
 
 DRAWER = Part("drawer", (0.0, 0.0, 1.0, 0.25), 0.9)
 

@@ -10,8 +10,7 @@ from tests.perception.reconstruction.fronts import face_of, raised
 
 from momapos.core.geometry.line_detection import dark_lines
 from momapos.model.records.scans import FaceImage, Part, PartKind
-from momapos.perception.reconstruction.bars import with_bar
-from momapos.perception.reconstruction.drawer_handles import into_drawers
+from momapos.perception.reconstruction.bars import into_drawers, with_bar
 
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 Box = tuple[float, float, float, float]

@@ -7,9 +7,8 @@ import pytest
 from tests.perception.reconstruction.fronts import face_of, raised
 
 from momapos.model.records.scans import FaceImage, Part
-from momapos.perception.reconstruction.alignment import align
+from momapos.perception.reconstruction.alignment import align, with_frames
 from momapos.perception.reconstruction.height_maps import Area
-from momapos.perception.reconstruction.leaf_frames import with_frames
 
 WIDTH, HEIGHT, FRAME = 0.7, 0.9, 0.08  # [m]
 SEEN = Area(0.0, 0.0, WIDTH - FRAME, HEIGHT)

@@ -13,19 +13,16 @@ from hypothesis import strategies as st
 from tests.perception.reconstruction.fronts import KINDS, face_of, fronts, raised
 
 from momapos.core.errors import InputError
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, invert, pose, rotation_about
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Detection, FaceImage, Part, PartKind
-from momapos.model.scene.library.box_furniture import Piece
-from momapos.model.scene.library.kitchen_writer import urdf_text
+from momapos.model.scene.library.kitchen_writer import Piece, urdf_text
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import Articulated, opening_of
 from momapos.model.urdf.reader import read_urdf
 from momapos.perception.reconstruction.model_config import MAX_PASSED, ModelConfig
-from momapos.perception.reconstruction.object_model import furniture_model
-from momapos.perception.reconstruction.part_motions import Neighbors
+from momapos.perception.reconstruction.object_model import Neighbors, furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.grasps.handle_shapes import CarriedPart, rigid_links
 from momapos.planning.grasps.handles import (

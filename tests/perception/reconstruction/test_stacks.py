@@ -8,7 +8,7 @@ import pytest
 from tests.perception.reconstruction.fronts import face_of
 
 from momapos.model.records.scans import Part, PartKind
-from momapos.perception.reconstruction.stacks import DRAWER_PRIOR, weigh_stacks
+from momapos.perception.reconstruction.front_network import DRAWER_PRIOR, weigh_stacks
 
 FACE = face_of(0.8, 0.8, 0.0)
 HIGH = Part("drawer", (0.0, 0.0, 1.0, 0.4), 0.5, (0.1, 0.05, 0.9, 0.08))

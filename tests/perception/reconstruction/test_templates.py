@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from momapos.model.records.scans import FaceImage, Front, Part, PartKind
-from momapos.perception.reconstruction.templates import (
+from momapos.perception.reconstruction.usual_kinds import (
     ALIASES,
     HANDLES,
     SCORE,

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from tests.furnished import Camera, cloud_of, look_at, photograph
 
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Detection, Front
 from momapos.model.scene.library import Piece
 from momapos.perception.modeling import decide

@@ -21,9 +21,8 @@ from scipy.spatial.transform import Rotation
 from tests.perception.recordings.recorded import HEIGHT, WIDTH, K, Shot, shots
 
 from momapos.core.errors import FileFormatError, MissingExtraError
-from momapos.perception.recordings.bags import BagTopics
+from momapos.perception.recordings.bags import BagTopics, TransformTree
 from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.recordings.tf import TransformTree
 
 START = 1_700_000_000_000_000_000
 STEP = 100_000_000

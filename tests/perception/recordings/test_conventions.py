@@ -16,8 +16,12 @@ from momapos.core.errors import InputError
 from momapos.core.geometry.transforms import invert
 from momapos.model.records.scans import Frame
 from momapos.perception.fusion.gravity import align_to_gravity, axis_up
-from momapos.perception.recordings.conventions import Conventions, Stated, with_conventions
-from momapos.perception.recordings.pose_check import check_poses
+from momapos.perception.recordings.conventions import (
+    Conventions,
+    Stated,
+    check_poses,
+    with_conventions,
+)
 from momapos.perception.recordings.scan_reader import UP_AXES, read_scan
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

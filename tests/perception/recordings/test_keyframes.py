@@ -12,8 +12,12 @@ from PIL import Image
 from scipy import ndimage
 
 from momapos.core.errors import FileFormatError, InputError
-from momapos.perception.recordings.images import read_small_gray
-from momapos.perception.recordings.keyframes import choose, laplacian_variance, sharpness_of
+from momapos.perception.recordings.images import (
+    choose,
+    laplacian_variance,
+    read_small_gray,
+    sharpness_of,
+)
 
 
 def walk(steps: list[float]) -> np.ndarray:

@@ -21,8 +21,7 @@ from tests import optional
 
 from momapos.core.errors import FileFormatError, MissingExtraError
 from momapos.model.records.scans import Instance
-from momapos.perception.recordings.masks import read_instances
-from momapos.perception.recordings.scannet import SCANNET20, SCANNET200
+from momapos.perception.recordings.masks import SCANNET20, SCANNET200, read_instances
 
 SIZE = 50
 needs_torch = optional.needs("torch", optional.has("torch"))

@@ -9,7 +9,7 @@ import pytest
 from tests.perception.recordings.recorded import shots, write_seven_scenes
 
 from momapos.model.records.scans import Frame
-from momapos.perception.recordings.pose_check import check_poses
+from momapos.perception.recordings.conventions import check_poses
 from momapos.perception.recordings.scan_reader import read_scan
 
 K = np.array([[300.0, 0, 159.5], [0, 300.0, 119.5], [0, 0, 1]])

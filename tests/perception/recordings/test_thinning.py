@@ -14,7 +14,7 @@ from tests.perception.recordings.recorded import K, shots, write_export, write_p
 from momapos.apps.cli.scan_options import ScanOptions, tools_for
 from momapos.model.records.scans import Scan
 from momapos.perception.pipeline import survey
-from momapos.perception.recordings import thinning
+from momapos.perception.recordings import ply
 from momapos.perception.recordings.clouds import read_cloud
 from momapos.perception.recordings.scan_reader import read_scan
 
@@ -34,9 +34,9 @@ def test_a_large_cloud_keeps_one_point_per_cell_and_tells_it(
 ) -> None:
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform((0, 0, 0), (1, 1, 0.004), (6000, 3)), [[np.nan] * 3]])
-    monkeypatch.setattr(thinning, "MAX_POINTS", 5000)
-    monkeypatch.setattr(thinning, "SPACING", 0.05)
-    monkeypatch.setattr(thinning, "_CHUNK", 1000)
+    monkeypatch.setattr(ply, "MAX_POINTS", 5000)
+    monkeypatch.setattr(ply, "SPACING", 0.05)
+    monkeypatch.setattr(ply, "_CHUNK", 1000)
     cloud, warnings = read_cloud(write_ply(tmp_path / "a.ply", points))
     assert len(cloud.points) == 400
     cells = np.unique(np.floor(cloud.points[:, :2] / 0.05), axis=0)
@@ -51,10 +51,10 @@ def test_a_large_cloud_keeps_one_point_per_cell_and_tells_it(
 def test_cells_grow_until_the_cloud_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     columns = dict(zip("xyz", rng.uniform(-1, 1, (3, 4000)), strict=True))
-    monkeypatch.setattr(thinning, "MAX_POINTS", 300)
-    kept, rows, spacing = thinning.thinned(columns, np.zeros(3))
+    monkeypatch.setattr(ply, "MAX_POINTS", 300)
+    kept, rows, spacing = ply.thinned(columns, np.zeros(3))
     assert len(kept) <= 300
-    assert spacing > thinning.SPACING
+    assert spacing > ply.SPACING
     assert (np.diff(kept) > 0).all()
     assert rows.max() == len(kept) - 1
     np.testing.assert_array_equal(rows[kept], np.arange(len(kept)))
@@ -118,8 +118,8 @@ def test_masks_of_the_file_fit_a_thinned_cloud(
     on_fridge &= cloud.points[:, 2] > 0.05
     labels = np.concatenate([[1], np.where(on_fridge, 7, 0)])
     np.save(tmp_path / "labels.npy", labels)
-    monkeypatch.setattr(thinning, "MAX_POINTS", 20_000)
-    monkeypatch.setattr(thinning, "SPACING", 0.03)
+    monkeypatch.setattr(ply, "MAX_POINTS", 20_000)
+    monkeypatch.setattr(ply, "SPACING", 0.03)
     scan = read_scan(write_ply(tmp_path / "a.ply", points))
     assert scan.cloud is not None
     assert len(scan.cloud.points) < 0.7 * len(points)

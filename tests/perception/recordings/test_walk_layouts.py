@@ -13,7 +13,7 @@ from tests.perception.recordings.recorded import K, shots, write_export, write_o
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError
-from momapos.perception.recordings.pose_files import poses_at
+from momapos.perception.recordings.image_folders import poses_at
 from momapos.perception.recordings.scan_reader import read_scan
 
 

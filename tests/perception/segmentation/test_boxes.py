@@ -8,7 +8,7 @@ from jaxtyping import Float
 from tests.furnished import Corners, cloud_of
 
 from momapos.core.errors import InputError
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Instance
 from momapos.perception.segmentation.instance_boxes import (
     MIN_YAW,

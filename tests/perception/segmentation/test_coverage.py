@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, pose, rotation_about
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Cloud, Detection
-from momapos.perception.segmentation.surface_coverage import SIDES, coverage, with_coverage
+from momapos.perception.segmentation.pointing import SIDES, coverage, with_coverage
 
 SIZE = np.array([0.6, 0.8, 1.0])
 

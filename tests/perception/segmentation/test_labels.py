@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from momapos.perception.segmentation.size_labels import RULES, BoxFeatures, fit, guesses_of
+from momapos.perception.segmentation.instance_boxes import RULES, BoxFeatures, fit, guesses_of
 
 CABINET = BoxFeatures("floor", 0.86, 1.6, 0.6, 0.0, 0.9, 0.0, 0.0, 0.5)
 CUP = BoxFeatures("support", 0.1, 0.08, 0.08, 0.9, 0.0, 0.0, 1.0, 0.5)

@@ -9,7 +9,7 @@ import pytest
 from tests.perception.views.painted_box import FRIDGE, camera, image
 
 from momapos.core.errors import InputError, UnknownNameError
-from momapos.core.geometry.upright_boxes import UprightBox
+from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Detection
 from momapos.perception.segmentation.pointing import PixelOf, PointAt, pointed_at
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, invert, pose
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Frame
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])

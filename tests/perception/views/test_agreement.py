@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from momapos.model.records.scans import Part
-from momapos.perception.views.agreement import consensus
+from momapos.perception.views.front_view import consensus
 
 WHOLE = Part("drawer", (0.0, 0.0, 1.0, 1.0), 0.7)
 HALVES = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.model.records.scans import FaceImage, Part
-from momapos.perception.views.even_doors import equalize_doors
+from momapos.perception.views.front_view import equalize_doors
 
 WIDTH, HEIGHT, PIXELS = 1.2, 0.7, 480
 

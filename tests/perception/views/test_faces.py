@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.perception.views.painted_box import FRIDGE, camera, image
 
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, invert
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import Frame
 from momapos.perception.views.faces import (
     box_faces,
@@ -16,7 +16,7 @@ from momapos.perception.views.faces import (
     neighbor_protrusion,
     visible_share,
 )
-from momapos.perception.views.projection import corners
+from momapos.perception.views.placed_parts import corners
 
 
 def checks(world: np.ndarray, normals: np.ndarray) -> np.ndarray:

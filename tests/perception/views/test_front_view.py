@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.perception.views.painted_box import FRIDGE, camera, image
 
+from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply
-from momapos.core.geometry.upright_boxes import UprightBox
 from momapos.model.records.scans import FaceImage, Frame, Front, Part
 from momapos.perception.views.faces import box_faces
 from momapos.perception.views.front_view import (
@@ -17,8 +17,7 @@ from momapos.perception.views.front_view import (
     door_evidence,
     front_evidence,
 )
-from momapos.perception.views.placed_parts import most_confident, transferred
-from momapos.perception.views.projection import observations
+from momapos.perception.views.placed_parts import most_confident, observations, transferred
 from momapos.perception.views.rows import split_row
 
 FRONT = 2

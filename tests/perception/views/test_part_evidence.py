@@ -13,7 +13,7 @@ from momapos.model.records.scans import FaceImage, Front, Part
 from momapos.perception.views.faces import Face, box_faces
 from momapos.perception.views.front_view import FaceSurroundings, FrontView, choose_view
 from momapos.perception.views.part_evidence import borders, parts_with_evidence, tilt
-from momapos.perception.views.projection import observations
+from momapos.perception.views.placed_parts import observations
 
 PIXEL = 0.003
 AROUND = 0.1

@@ -8,8 +8,8 @@ import pytest
 from tests.perception.views.painted_box import FRIDGE, camera, image
 
 from momapos.model.records.scans import Frame
-from momapos.perception.detection.coco_results import read_coco
-from momapos.perception.views.projection import (
+from momapos.perception.detection.coco import read_coco
+from momapos.perception.views.placed_parts import (
     observations,
     overlap,
     projection,

@@ -13,10 +13,9 @@ from momapos.model.collision.collision_world import check
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion import arm_path
-from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, find_paths
+from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, PathGraph, find_paths
 from momapos.planning.arm_motion.hand_clearance import arm_spheres
 from momapos.planning.arm_motion.ik_layers import Layers, solve_layers
-from momapos.planning.arm_motion.path_graph import PathGraph
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.task_setup import PreparedTask, prepare

@@ -19,13 +19,14 @@ from momapos.model.urdf.reader import read_urdf
 from momapos.planning.arm_motion.arm_planner import (
     PREFERRED_CLEARANCE,
     RESOLUTION,
+    _Budget,
+    connect,
     interpolate,
+    ompl_path,
     plan_motion,
     plan_with_clearance,
 )
 from momapos.planning.arm_motion.config import Planner, PlannerConfig
-from momapos.planning.arm_motion.ompl_planner import _Budget, ompl_path
-from momapos.planning.arm_motion.rrt_connect import connect
 
 LOW, HIGH = np.full(2, -3.0), np.full(2, 3.0)
 A, B = np.array([-2.0, 0.0]), np.array([2.0, 0.0])

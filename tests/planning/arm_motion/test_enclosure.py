@@ -13,7 +13,7 @@ from tests.rooms import Everywhere
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning.arm_motion.enclosure import MAX_NAMES
+from momapos.planning.arm_motion.hand_clearance import MAX_NAMES
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement

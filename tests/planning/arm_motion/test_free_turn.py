@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import invert, pose_planar
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

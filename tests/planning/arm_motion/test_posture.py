@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from momapos.planning.arm_motion.posture import SPREADS, _smoothed
+from momapos.planning.arm_motion.free_turn import SPREADS, _smoothed
 
 
 @pytest.mark.parametrize("count", [4, 9, 25, 26, 120])

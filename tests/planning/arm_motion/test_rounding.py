@@ -9,8 +9,13 @@ from tests.planning.arm_motion.test_arm_planner import gantry, motions_of
 
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain
-from momapos.planning.arm_motion.arm_planner import RESOLUTION, interpolate
-from momapos.planning.arm_motion.rounding import CORNER, fill_curve, round_corners
+from momapos.planning.arm_motion.arm_planner import (
+    CORNER,
+    RESOLUTION,
+    fill_curve,
+    interpolate,
+    round_corners,
+)
 
 __all__ = ["gantry"]
 

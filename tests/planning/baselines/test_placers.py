@@ -13,7 +13,7 @@ from jaxtyping import Float
 from tests.rooms import Everywhere, cabinet_room, move_scene
 
 from momapos.core.geometry import apply, pose
-from momapos.core.geometry.planar import compose, local_points, place_points
+from momapos.core.geometry.transforms import compose, local_points, place_points
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
@@ -21,13 +21,16 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
-from momapos.planning.baselines.authors_placer import BEST, RING, YAW, AuthorsPlacer
 from momapos.planning.baselines.by_method import PLACERS
 from momapos.planning.baselines.habitat_placer import HINGED, habitat
 from momapos.planning.baselines.m3_placer import HINGED as REGIONS
 from momapos.planning.baselines.m3_placer import NOISE, m3
 from momapos.planning.baselines.map_placers import reuleaux, rm4d
 from momapos.planning.baselines.paper_placer import (
+    BEST,
+    RING,
+    YAW,
+    AuthorsPlacer,
     PaperPlacer,
     in_area,
     potential,

@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from momapos.planning.baselines.open_tours import open_tour
+from momapos.planning.baselines.paper_placer import open_tour
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 9, 10, 13])

@@ -15,21 +15,20 @@ from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.grasp_families import Family, Grasps
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.handle_core import HandleKind
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
 from momapos.planning.grasps.handles import (
+    HandleKind,
     HandleSource,
     find_handle,
     find_handles,
 )
-from momapos.planning.grasps.part_grasps import grasps_of, push_grasps
+from momapos.planning.grasps.part_grasps import grasps_of, pinch_capacity, push_grasps
 from momapos.planning.grasps.part_motion import motion_direction
-from momapos.planning.grasps.pinch_grasps import pinch_capacity
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
 from momapos.planning.grasps.task_requests import make_task, openable
 from momapos.planning.task_setup import prepare

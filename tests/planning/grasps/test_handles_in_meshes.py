@@ -19,9 +19,14 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.handle_core import HandleKind
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
-from momapos.planning.grasps.handles import HandleSource, find_handle, find_handles, handles_in_turn
+from momapos.planning.grasps.handles import (
+    HandleKind,
+    HandleSource,
+    find_handle,
+    find_handles,
+    handles_in_turn,
+)
 from momapos.planning.grasps.part_grasps import FAMILIES, Family, elements_near_handle, grasps_of
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task

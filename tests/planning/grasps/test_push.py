@@ -13,9 +13,9 @@ from tests.rooms import cabinet_room
 
 from momapos.model.robots.robot import Robot
 from momapos.planning.grasps.config import GraspConfig
-from momapos.planning.grasps.fronts import PUSH_INSET
+from momapos.planning.grasps.grasp_families import CLEAR, push_from_behind
 from momapos.planning.grasps.hand_boxes import Hand, hand_of
-from momapos.planning.grasps.push_grasps import CLEAR, push_from_behind
+from momapos.planning.grasps.handles import PUSH_INSET
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 FROM, TO = (np.array(ends) for ends in zip(*(

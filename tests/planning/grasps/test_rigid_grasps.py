@@ -19,8 +19,12 @@ from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.part_grasps import Family
-from momapos.planning.grasps.pinch_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity
+from momapos.planning.grasps.part_grasps import (
+    HELD_CLEARANCE_SHARE,
+    Contact,
+    Family,
+    lifting_capacity,
+)
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement

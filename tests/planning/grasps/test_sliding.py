@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.model.records.plans import Motion
-from momapos.model.records.resistances import JointResistance
+from momapos.model.records.plans import JointResistance, Motion
 from momapos.model.robots.robot import Grip, Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from momapos.model.urdf.hulls import Boxes, Hull
-from momapos.planning.grasps.swept_boxes import NEVER, Convex, convex_of, touches_hull
+from momapos.planning.grasps.handle_shapes import NEVER, Convex, convex_of, touches_hull
 
 X = np.array([1.0, 0.0, 0.0])
 

@@ -11,10 +11,10 @@ import pytest
 from tests.rooms import cabinet_room
 
 from momapos.core.errors import InputError, TaskError, UnknownNameError
-from momapos.model.robots.arm_states import touches
+from momapos.model.robots.load_limits import touches
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
-from momapos.model.urdf.joint_opening import opening_of
+from momapos.model.urdf.articulated import opening_of
 from momapos.planning.arm_motion.payload import payload_hits_at_home, with_payload
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.handles import find_handle

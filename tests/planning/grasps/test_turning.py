@@ -16,9 +16,9 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
+from momapos.planning.grasps.motion_record import MIN_GROUP
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.grasps.turning_grasps import MIN_GROUP
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.task_setup import PreparedTask, prepare

@@ -17,10 +17,9 @@ from momapos.planning.importance.config import (
     ImportanceConfig,
     ScorerName,
 )
-from momapos.planning.importance.random_walks import authors_transitions
 from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.relations import KINDS
-from momapos.planning.importance.scene_graph import SceneGraph, build_graph
+from momapos.planning.importance.scene_graph import KINDS, SceneGraph, build_graph
+from momapos.planning.importance.scorers import authors_transitions
 from momapos.planning.placement.config import PlaceConfig
 
 KITCHEN = load_scene("kitchen_small")

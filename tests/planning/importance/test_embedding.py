@@ -7,10 +7,16 @@ import pytest
 from gensim.models import Word2Vec
 
 from momapos.model.scene.scene_files import load_scene
-from momapos.planning.importance import embedding
-from momapos.planning.importance.embedding import SkipGram, cosine, embed_walks, embed_words
-from momapos.planning.importance.random_walks import transitions, walk
+from momapos.planning.importance import scorers
 from momapos.planning.importance.scene_graph import build_graph
+from momapos.planning.importance.scorers import (
+    SkipGram,
+    cosine,
+    embed_walks,
+    embed_words,
+    transitions,
+    walk,
+)
 
 CONFIG = SkipGram(dimensions=16, window=3, epochs=5, seed=1)
 
@@ -38,8 +44,8 @@ def test_similarities_agree_with_gensim() -> None:
     mine = embed_walks(walks, n, config)
     words = np.array([str(k) for k in range(n)], object)
     model = Word2Vec(
-        words[walks].tolist(), sg=1, negative=embedding.NEGATIVE, sample=0, min_count=1, workers=1,
-        seed=0, vector_size=64, window=4, epochs=10, alpha=embedding.LEARNING_RATE,
+        words[walks].tolist(), sg=1, negative=scorers.NEGATIVE, sample=0, min_count=1, workers=1,
+        seed=0, vector_size=64, window=4, epochs=10, alpha=scorers.LEARNING_RATE,
     )  # fmt: skip
     theirs = model.wv[list(words)].astype(float)
     gap = np.array([cosine(mine, k) - cosine(theirs, k) for k in range(n)])
@@ -58,17 +64,17 @@ def test_the_kernel_does_the_update_of_skip_gram() -> None:
         change += step * v[other]
         v[other] += step * u[0]
     u[0] += change
-    known = embedding.Vectors(vectors, outputs, np.empty(6))
-    embedding._learn(0, 1, known, table, 2, 0.1, state)
+    known = scorers.Vectors(vectors, outputs, np.empty(6))
+    scorers._learn(0, 1, known, table, 2, 0.1, state)
     assert vectors == pytest.approx(u, abs=1e-5)
     assert outputs == pytest.approx(v, abs=1e-5)
 
 
 def test_the_rational_sigmoid_is_the_sigmoid() -> None:
     x = np.linspace(-6, 6, 1001)
-    values = np.array([embedding._sigmoid(value) for value in x])
+    values = np.array([scorers._sigmoid(value) for value in x])
     assert values == pytest.approx(1 / (1 + np.exp(-x)), abs=1e-5)
-    assert (embedding._sigmoid(6.1), embedding._sigmoid(-6.1)) == (1.0, 0.0)
+    assert (scorers._sigmoid(6.1), scorers._sigmoid(-6.1)) == (1.0, 0.0)
 
 
 def test_a_seed_gives_the_same_vectors_and_another_seed_others() -> None:

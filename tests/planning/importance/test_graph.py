@@ -33,8 +33,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import upright_boxes
 from momapos.model.urdf.reader import Link
 from momapos.planning.importance.config import GraphConfig
-from momapos.planning.importance.relations import neighbors, outline_gaps
-from momapos.planning.importance.scene_graph import build_graph
+from momapos.planning.importance.scene_graph import build_graph, neighbors, outline_gaps
 
 TABLE = box("table", (1.0, 0.6, 0.7), (0, 0, 0))
 

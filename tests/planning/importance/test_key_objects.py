@@ -16,8 +16,7 @@ from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.importance.config import ImportanceConfig
-from momapos.planning.importance.key_objects import Selection, everything
-from momapos.planning.importance.ranking import rank
+from momapos.planning.importance.ranking import Selection, everything, rank
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.result import PlacementResult

@@ -25,9 +25,8 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.importance.config import GraphConfig, ImportanceConfig, ScorerName
-from momapos.planning.importance.key_objects import Selection
-from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.relations import KINDS
+from momapos.planning.importance.ranking import Selection, rank
+from momapos.planning.importance.scene_graph import KINDS
 from momapos.planning.importance.scorers import KNEE, MIN_SCORE, SCORERS, score_of_cosine, words
 from momapos.planning.keyword_forms import plan_base_placement
 

@@ -12,8 +12,8 @@ from tests.planning.importance.things import box, room
 
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.importance.config import GraphConfig
-from momapos.planning.importance.random_walks import transitions, walk
 from momapos.planning.importance.scene_graph import SceneGraph, build_graph
+from momapos.planning.importance.scorers import transitions, walk
 
 ALL = GraphConfig(neighbors=10, near=100.0)
 

@@ -14,8 +14,7 @@ from momapos.core.errors import FileFormatError, InputError
 from momapos.model.scene.scene import Scene
 from momapos.planning.importance.config import ImportanceConfig
 from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.scorers import MIN_SCORE
-from momapos.planning.importance.word_vectors import MAX_LINE, read_word_vectors
+from momapos.planning.importance.scorers import MAX_LINE, MIN_SCORE, read_word_vectors
 
 GLOVE = "the 0.1 0.2 0.3\nfridge 1 0 0\ncup 0.6 0.8 0\nshoe -1 0 0\n"
 

@@ -12,8 +12,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Geometry, Joint, JointKind, Link, Urdf, box_urdf
 from momapos.planning.importance.config import GraphConfig
-from momapos.planning.importance.relations import KINDS
-from momapos.planning.importance.scene_graph import build_graph
+from momapos.planning.importance.scene_graph import KINDS, build_graph
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -10,14 +10,13 @@ import pytest
 from tests.planning.navigation.boxes import free_pose, room, wall_with_door
 
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.planning.navigation.base_motion import clip_velocity, integrate
-from momapos.planning.navigation.driving import drive
+from momapos.planning.navigation.driving import clip_velocity, drive, integrate
 from momapos.planning.navigation.dynamic_window import velocity_window
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.global_path import BasePath, leads_straight, plan_path
 from momapos.planning.navigation.judge import FootprintCollisionChecker, impossible_motion
-from momapos.planning.navigation.lattice_moves import lattice_moves, planned_radius
-from momapos.verification.base_path_checks import wheel_checks
+from momapos.planning.navigation.lattice import lattice_moves, planned_radius
+from momapos.verification.path_checks import wheel_checks
 
 BOXES = [(0.0, 0.0, 1.0, 1.0, 0.4), (-2.0, 1.5, 0.6, 1.0, 0.0), (1.8, -1.6, 0.8, 0.4, 0.2)]
 

@@ -12,7 +12,7 @@ from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.robots.robot import Robot
 from momapos.model.urdf.hulls import Boxes
 from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map, floor_plan
-from momapos.planning.navigation.driving_lengths import TravelLengths
+from momapos.planning.navigation.reachable_floor import TravelLengths
 
 
 def wall(center: tuple[float, float, float], half: tuple[float, float, float]) -> Boxes:

@@ -9,7 +9,7 @@ from tests.planning.navigation.boxes import room, square
 from momapos.core.geometry.polygons import inscribed_radius
 from momapos.model.robots.robot import load_robot
 from momapos.planning.navigation.convex_polygons import ConvexPolygons, _covered, pack
-from momapos.planning.navigation.drivable import drivable_floor
+from momapos.planning.navigation.reachable_floor import drivable_floor
 
 START = np.array([-2.0, 0.0, 0.0])
 ROBOT = load_robot("fetch")

@@ -20,11 +20,11 @@ from momapos.planning.navigation.driving import (
     DriveConfig,
     DriveEnding,
     DriveRecord,
+    NoiseConfig,
     drive,
 )
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.global_path import plan_path
-from momapos.planning.navigation.localization import NoiseConfig
 
 START, GOAL = np.array([-1.5, -0.8, 0.5]), np.array([1.4, 0.9, -1.0])
 

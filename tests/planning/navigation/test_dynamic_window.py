@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.planning.navigation.boxes import free_pose, room
 
-from momapos.core.geometry.planar import place_points
+from momapos.core.geometry.transforms import place_points
 from momapos.model.robots.robot import Robot
-from momapos.planning.navigation.base_motion import integrate
+from momapos.planning.navigation.driving import integrate
 from momapos.planning.navigation.dynamic_window import (
     Steering,
     WindowConfig,

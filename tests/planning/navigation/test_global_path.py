@@ -22,8 +22,7 @@ from momapos.planning.navigation.footprint_map import (
 )
 from momapos.planning.navigation.global_path import BasePath, direct_path, leads_straight, plan_path
 from momapos.planning.navigation.judge import FootprintCollisionChecker
-from momapos.planning.navigation.lattice import Lattice, PathModel, astar, standable
-from momapos.planning.navigation.lattice_moves import lattice_moves
+from momapos.planning.navigation.lattice import Lattice, PathModel, astar, lattice_moves, standable
 from momapos.planning.navigation.outline_gaps import CostWeights, OutlineArrays
 from momapos.planning.navigation.path_ends import MIN_GAP
 

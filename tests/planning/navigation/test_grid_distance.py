@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from momapos.planning.navigation.grid_distance import clearance, path_lengths
+from momapos.planning.navigation.cost_map import clearance, path_lengths
 
 CELL = 0.05
 

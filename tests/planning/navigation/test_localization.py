@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from momapos.core.geometry.transforms import wrap_angle
-from momapos.planning.navigation.base_motion import integrate
-from momapos.planning.navigation.localization import Localizer, NoiseConfig
+from momapos.planning.navigation.driving import Localizer, NoiseConfig, integrate
 
 
 def test_integration_equals_many_small_steps() -> None:

@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 from momapos.core.compiled import F2, F3, I1, entry
 from momapos.core.geometry.transforms import wrap_angle
-from momapos.planning.navigation.car_connection import shortest_lengths
 from momapos.planning.navigation.reeds_shepp import (
     MAX_CURVES,
     MAX_PIECES,
     along,
     bend_between,
     curves_between,
+    shortest_lengths,
 )
 
 RADIUS = 0.8

@@ -12,8 +12,7 @@ from tests.rooms import Everywhere, cabinet_room
 
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import SceneError
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import Robot, load_robot, read_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from tests.rooms import Everywhere, cabinet_room, move_scene
 
-from momapos.core.geometry.planar import compose
-from momapos.core.geometry.transforms import wrap_angle
+from momapos.core.geometry.transforms import compose, wrap_angle
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -23,13 +22,13 @@ from momapos.planning.placement.area import (
     PlacementGeometry,
     arm_radius,
     base_pose_status,
+    grid_standing,
     sampling_box,
     task_frame,
     within_reach,
 )  # fmt: skip
-from momapos.planning.placement.grid_standing import grid_standing
-from momapos.planning.placement.order import by_expected_cost
-from momapos.planning.placement.potential import attraction
+from momapos.planning.placement.grasp_scores import attraction
+from momapos.planning.placement.pose_search import by_expected_cost
 
 
 def make_geometry(scene: Scene, robot: Robot, to: float = 1.5) -> PlacementGeometry:

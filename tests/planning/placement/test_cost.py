@@ -15,8 +15,7 @@ from momapos.core.stopwatch import Stopwatch
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.tasks import Task
+from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

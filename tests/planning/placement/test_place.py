@@ -16,8 +16,7 @@ from momapos.planning.placement.area import PlacementGeometry, clears_sweep
 from momapos.planning.placement.config import Method, PlaceConfig
 from momapos.planning.placement.grasp_scores import GraspModeScores, grasp_mode_scorers
 from momapos.planning.placement.pose_search import search
-from momapos.planning.placement.problem import Problem, Search
-from momapos.planning.placement.region import BasePoseRule
+from momapos.planning.placement.problem import BasePoseRule, Problem, Search
 from rooms import Everywhere
 
 MOTION = Motion(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros(1), np.eye(4)[None])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from momapos.core.geometry.planar import place_points
 from momapos.core.geometry.polygons import any_overlap
+from momapos.core.geometry.transforms import place_points
 from momapos.model.records.outcomes import PoseStatus
-from momapos.model.records.tasks import ANYWHERE, BaseRegion
+from momapos.model.records.plans import ANYWHERE, BaseRegion
 from momapos.planning.placement.area import PlacementGeometry
-from momapos.planning.placement.region import rules
+from momapos.planning.placement.problem import rules
 
 SQUARE = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))
 NORTH = ((0.0, 1.0), (1.0, 1.0), (1.0, 2.0), (0.0, 2.0))

@@ -12,8 +12,7 @@ import pytest
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.robots.robot import load_robot
 from momapos.planning.reachability import ReachMap
-from momapos.planning.reachability.arm_length import by_arm_length
-from momapos.planning.reachability.map_store import load_reach
+from momapos.planning.reachability.map_store import by_arm_length, load_reach
 
 
 def test_no_pose_that_the_arm_reaches_scores_zero() -> None:

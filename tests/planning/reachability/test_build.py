@@ -11,9 +11,8 @@ from momapos.model.kinematics.chain import Chain
 from momapos.model.kinematics.ik import build_ik
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.reachability.arm_axes import arm_frame
-from momapos.planning.reachability.base_contact import standing_table
-from momapos.planning.reachability.construct import _Evaluator
-from momapos.planning.reachability.locked_values import HALVINGS, locked_samples
+from momapos.planning.reachability.construct import HALVINGS, _Evaluator, locked_samples
+from momapos.planning.reachability.map_kernels import standing_table
 from momapos.planning.reachability.reach_map import ReachConfig
 from momapos.planning.reachability.signed_distance import nearby
 

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.planning.reachability.calibrate import MAX_FALSE_POSITIVES, MAX_MISSED, calibrated
-from momapos.planning.reachability.evaluation import evaluate
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.reachability.map_store import (
+    MAX_FALSE_POSITIVES,
+    MAX_MISSED,
+    calibrated,
+    evaluate,
+    load_reach_map,
+)
 from momapos.planning.reachability.reach_map import ReachMap
 
 

@@ -15,18 +15,20 @@ from test_store import LINE, MAP, VALUES
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.collision.arm_collision import FREE, KNOWN, check_states
 from momapos.model.collision.spheres import Spheres
-from momapos.model.kinematics.chain import chain_arrays, chain_limits
-from momapos.model.kinematics.ik import build_ik
-from momapos.model.kinematics.ik_model import bounded
-from momapos.model.kinematics.kernel_records import ObstacleArrays
+from momapos.model.kinematics.chain import ObstacleArrays, chain_arrays, chain_limits
+from momapos.model.kinematics.ik import bounded, build_ik
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.reachability.aim import ALL, SPAN, TURNS, LineGrid, aim_all, lines_of
 from momapos.planning.reachability.arm_axes import arm_frame, is_flooded, no_map
 from momapos.planning.reachability.construct import build_map
-from momapos.planning.reachability.evaluation import evaluate
-from momapos.planning.reachability.exact_reach import poses_near_reach
-from momapos.planning.reachability.general_map import _aimed
-from momapos.planning.reachability.map_store import decode, encode, map_key
+from momapos.planning.reachability.flood import _aimed
+from momapos.planning.reachability.map_store import (
+    decode,
+    encode,
+    evaluate,
+    map_key,
+    poses_near_reach,
+)
 from momapos.planning.reachability.reach_map import OUTSIDE, ReachConfig, ReachMap
 
 NO_BOXES = ObstacleArrays(

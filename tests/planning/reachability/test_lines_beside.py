@@ -5,13 +5,24 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from momapos.model.kinematics.ik_model import bounded
+from momapos.model.kinematics.ik import bounded
 from momapos.model.robots.robot import load_robot
-from momapos.planning.reachability.aim import ALL, SPAN, AimedArm, LineGrid, aim_all, lines_of
+from momapos.planning.reachability.aim import (
+    ALL,
+    GROUPS,
+    SPAN,
+    AimedArm,
+    LineGrid,
+    LineStates,
+    add,
+    aim_all,
+    aim_beside,
+    aim_between,
+    lines_of,
+)
 from momapos.planning.reachability.arm_axes import arm_frame
-from momapos.planning.reachability.general_map import STORED, _aimed
+from momapos.planning.reachability.flood import STORED, _aimed
 from momapos.planning.reachability.grid import GridShape
-from momapos.planning.reachability.spread import GROUPS, LineStates, add, aim_beside, aim_between
 
 GRID = LineGrid(-0.1, 0.1, 9, 16)
 SHAPE = GridShape(20, 14, 9, 9, 16)

@@ -15,20 +15,19 @@ from momapos.model.collision.arm_collision import FREE, check_states
 from momapos.model.kinematics.chain import chain_arrays
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.reachability import construct, map_store
-from momapos.planning.reachability.arm_length import ArmLength
 from momapos.planning.reachability.construct import build_map, default_config
-from momapos.planning.reachability.evaluation import evaluate
-from momapos.planning.reachability.exact_reach import random_poses
-from momapos.planning.reachability.floor_scores import SPACING
 from momapos.planning.reachability.grid import oct_decode, turns_of
 from momapos.planning.reachability.map_store import (
+    ArmLength,
     decode,
     encode,
+    evaluate,
     load_reach,
     load_reach_map,
     map_key,
+    random_poses,
 )
-from momapos.planning.reachability.reach_map import YAWS, ReachConfig, ReachMap
+from momapos.planning.reachability.reach_map import SPACING, YAWS, ReachConfig, ReachMap
 
 COARSE = ReachConfig(cell=0.08, directions=13, azimuths=32, spins=4)
 TINY = ReachConfig(cell=0.25, directions=5, azimuths=8, spins=1)

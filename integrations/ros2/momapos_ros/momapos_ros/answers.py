@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 import momapos
-from momapos.apps.export.phases import Phase, PhaseKind, phases_of
 from momapos.apps.export.ros2 import messages
+from momapos.apps.export.timeline import Phase, PhaseKind, phases_of
 from momapos.core.errors import TaskError
 from momapos.model.robots.hand_openings import opened_as
 

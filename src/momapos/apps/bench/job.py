@@ -4,37 +4,311 @@ from __future__ import annotations
 
 import socket
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import MomaposError, OutOfTimeError, require
+from momapos.core import MomaposError, OutOfTimeError, SceneError, Stopwatch, require
+from momapos.core.geometry import wrap_angle
 from momapos.model.plan_files import write_plan
-from momapos.model.records import PlacementPlan, ReachScorer
+from momapos.model.records import PlacementPlan, ReachScorer, Task
 from momapos.model.robots import Robot, load_robot, opened_as
 from momapos.model.scene import Scene, load_scene, with_assumptions
-from momapos.planning import PipelineConfig, plan_by_method
-from momapos.planning.grasps import make_task
+from momapos.planning import (
+    MAX_OTHER_REGIONS,
+    PipelineConfig,
+    PlacementQuery,
+    PlacementResult,
+    check_base_pose,
+    plan_by_method,
+    poses_in_other_regions,
+    prepare_search,
+    without_departure_check,
+)
+from momapos.planning.baselines import plan_with_method
+from momapos.planning.grasps import make_task, task_motion
+from momapos.planning.placement import OURS, PoseMask
 from momapos.planning.reachability import load_reach
 from momapos.verification import PlanVerifier
+from momapos.workflows import motion_from
 
-from .bench_records import Job, Row, SuiteTask
-from .containers import without
-from .disturbances import works_disturbed
+from .bench_records import Container, Job, Outcome, Pose, Row, SuiteTask
 from .folder import scene_path
-from .methods import method_config
-from .scan_stages import MODELING, SURVEY
+from .methods import method_config, opened, without
+from .report_tables import MODELING, SURVEY
 from .scanned_rooms import scanned_room
-from .steps import Step, StepPlanner, plan_opening_first, plan_step
-from .trace import JobTrace
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
     from momapos.simulation import RunRecord
+
+
+@dataclass(eq=False)
+class JobTrace:
+    """Results of a job, summed over its steps."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    driving: float = 0.0
+    checked: int = 0
+    sampled: int = 0
+    bases: list[Pose] = field(default_factory=list)
+    modeled: tuple[str, ...] | None = None
+    """Objects that the last step modeled; None for all."""
+    verified: bool | None = None
+    done: bool | None = None
+    clearance: float | None = None
+    works: Bool[np.ndarray, "levels n"] | None = None
+    """Whether all steps so far work at each disturbed base pose."""
+    outcome: Outcome = "solved"
+    reason: str = ""
+
+    def add_effort(self, plan: PlacementPlan) -> None:
+        """Add the time and the base poses of an answer."""
+        self.add_time(plan.timing)
+        self.checked += plan.candidates.checked
+        self.sampled += plan.candidates.sampled
+
+    def add_time(self, timing: Mapping[str, float]) -> None:
+        """Add times by stage and their "total" [s]."""
+        for stage, seconds in timing.items():
+            if stage != "total":
+                self.stages[stage] = self.stages.get(stage, 0.0) + seconds
+        self.seconds += timing.get("total", 0.0)
+
+    def add_step(self, plan: PlacementPlan) -> None:
+        """Add the drive and the base pose of a step's final plan."""
+        self.driving += plan.navigation_cost or 0.0
+        self.modeled = None if plan.key_objects is None else plan.key_objects.names
+        if plan.base_pose is not None:
+            self.bases.append(plan.base_pose)
+
+    def add_run(self, record: RunRecord) -> None:
+        """Add the physics run of a step; a job is done if all its steps are."""
+        self.done = record.success and self.done is not False
+        self.reason = self.reason or record.reason
+        values = [self.clearance, *(visit.clearance for visit in record.visits)]
+        values.append(None if record.execution is None else record.execution.clearance)
+        self.clearance = min((value for value in values if value is not None), default=None)
+
+    def add_disturbed(self, works: Bool[np.ndarray, "levels n"]) -> None:
+        """Add whether a step works at each disturbed base pose."""
+        self.works = works if self.works is None else self.works & works
+
+    def disturbed_shares(self) -> dict[str, float]:
+        """Return the columns `at_2cm` and `at_5cm` of a solved job."""
+        if self.works is None or self.outcome != "solved":
+            return {}
+        at_2cm, at_5cm = self.works.mean(axis=1).tolist()
+        return {"at_2cm": at_2cm, "at_5cm": at_5cm}
+
+    def end(self, outcome: Outcome, reason: str) -> None:
+        self.outcome, self.reason = outcome, reason
+
+
+OTHER_POSES = "other base poses"
+"""Stage that looks for base poses in other regions of the free floor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of a job."""
+
+    scene: Scene
+    """The room as the robot knows it."""
+    task: Task
+    start: Float[np.ndarray, "3"] | None
+    """Initial base pose; None for the scene's start."""
+
+
+@dataclass(frozen=True)
+class StepPlanner:
+    """A method and a robot that plan the steps of a job."""
+
+    job: Job
+    robot: Robot
+    reach: ReachScorer
+    config: PipelineConfig
+    trace: JobTrace
+
+    def plan(self, step: Step, *, keep_poses: PoseMask | None = None) -> PlacementResult:
+        """Plan a step, and add its effort to the job.
+
+        Raises:
+            SceneError: The base can't stand at the start of the step.
+        """
+        scene, robot, config = step.scene, self.robot, self.config
+        if keep_poses is not None:
+            config = without_departure_check(config)
+        _fill_caches(scene, robot, step.task, self.reach, step.start, config)
+        query = PlacementQuery(
+            scene, robot, step.task, self.reach, step.start, config, keep_poses=keep_poses,
+            seed=self.job.task.seed, watch=Stopwatch(time.process_time),
+        )  # fmt: skip
+        result = plan_with_method(query)
+        self.trace.add_effort(result.plan)
+        return result
+
+    def other_poses(
+        self, found: PlacementResult, after: Scene, tried: list[Pose]
+    ) -> PoseMask | None:
+        """Return a mask of base poses in regions without a tried pose; None if there are none."""
+        watch = Stopwatch(time.process_time)
+        with watch.stage(OTHER_POSES):
+            poses = [np.array(pose) for pose in tried]
+            others = poses_in_other_regions(found.prepared.geometry, after, poses)
+        self.trace.add_time(watch.timing)
+        return others
+
+    def failure(self, plan: PlacementPlan) -> tuple[Outcome, str]:
+        """Return the outcome without a plan, and the most frequent rejection reason."""
+        counts = plan.candidates.rejections
+        most = max(counts, key=lambda reason: counts[reason]) if counts else "no base pose proposed"
+        if plan.status == "timeout":
+            return "gave up", f"out of time; most frequent rejection: {most}"
+        if plan.status == "assumed":
+            return "gave up", f"only a plan that assumes that {plan.assumes}"
+        return ("infeasible" if self.config.place.method in OURS else "gave up"), most
+
+
+def plan_step(planner: StepPlanner, step: Step) -> list[tuple[Step, PlacementPlan]]:
+    """Plan a job of one step; return the step with its plan, or nothing."""
+    plan = planner.plan(step).plan
+    planner.trace.add_step(plan)
+    if plan.status != "solved":
+        planner.trace.end(*planner.failure(plan))
+        return []
+    return [(step, plan)]
+
+
+def plan_opening_first(
+    planner: StepPlanner, scene: Scene, start: Float[np.ndarray, "3"] | None, box: Container
+) -> list[tuple[Step, PlacementPlan]]:
+    """Plan to open a container, then plan the task from that base pose.
+
+    If the task is infeasible then, try to open the container from other base poses, unless the
+    first one counts. If all fail, the job ends with the first opening and the failure of the task
+    after it.
+    """
+    task, trace = planner.job.task, planner.trace
+    room = without(scene, task.carried)
+    opening = Step(room, make_task(room, "open", box.object, box.joint, None), start)
+    first = found = planner.plan(opening)
+    if first.plan.status != "solved":
+        trace.end(*planner.failure(first.plan))
+        return []
+    tried: list[Pose] = []
+    failures: list[tuple[Outcome, str]] = []
+    while found.plan.base_pose is not None and found.plan.task.to is not None:
+        tried.append(found.plan.base_pose)
+        after = opened(scene, box, found.plan.task.to, task.carried)
+        target = make_task(after, task.verb, task.object, task.joint, task.to)
+        step = Step(after, target, np.array(tried[-1]))
+        plan, failure = _next_plan(planner, step, box)
+        if plan is not None and plan.status == "solved":
+            trace.add_step(found.plan)
+            trace.add_step(plan)
+            return [(opening, found.plan), (step, plan)]
+        failures.append(failure)
+        timed_out = plan is not None and plan.status == "timeout"
+        committed = planner.job.protocol.commit == "first"
+        if committed or timed_out or len(tried) > MAX_OTHER_REGIONS:
+            break
+        others = planner.other_poses(found, after, tried)
+        if others is None:
+            break
+        found = planner.plan(opening, keep_poses=others)
+    trace.add_step(first.plan)
+    trace.end(*failures[0])
+    return [(opening, first.plan)]
+
+
+def _next_plan(
+    planner: StepPlanner, step: Step, box: Container
+) -> tuple[PlacementPlan | None, tuple[Outcome, str]]:
+    """Plan the task after an opening; return the plan, if any, and its failure."""
+    try:
+        plan = planner.plan(step).plan
+    except SceneError as error:  # the robot can't stay at the base pose of the opening
+        reason = str(error).partition(": ")[2].partition(";")[0] or str(error)
+        return None, ("gave up", f"after opening {box.object}: {reason}")
+    return plan, planner.failure(plan)
+
+
+def _fill_caches(
+    scene: Scene, robot: Robot, task: Task, reach: ReachScorer,
+    start: Float[np.ndarray, "3"] | None, config: PipelineConfig,
+) -> None:  # fmt: skip
+    """Compute the cached data of room and task: bodies, handles, grasps.
+
+    Otherwise they would count only for the first method.
+    """
+    watch = Stopwatch(time.process_time)
+    query = PlacementQuery(scene, robot, task, reach, start, config, watch=watch)
+    prepare_search(query, scene, task_motion(scene, robot, task, config.motion))
+
+
+LEVELS = ((0.02, np.radians(2.0)), (0.05, np.radians(5.0)))
+"""Distance [m] and rotation [rad] of the base from its planned pose."""
+
+
+def disturbed_poses(
+    base: Float[np.ndarray, "3"], off: float, turn: float, count: int, rng: np.random.Generator
+) -> Float[np.ndarray, "n 3"]:
+    """Return base poses at one distance in evenly spread directions, turned to either side.
+
+    Args:
+        base: x [m], y [m], yaw [rad].
+        off: Distance from the base [m].
+        turn: Rotation from the base [rad].
+        count: Number of poses.
+        rng: Draws the first direction, and the sign of every rotation.
+    """
+    angle = 2 * np.pi * (np.arange(count) + rng.random()) / max(count, 1)
+    turns = turn * rng.choice([-1.0, 1.0], count)
+    yaw = wrap_angle(base[2] + turns)
+    return np.column_stack([base[:2] + off * np.column_stack([np.cos(angle), np.sin(angle)]), yaw])
+
+
+def works_disturbed(
+    plan: PlacementPlan,
+    scene: Scene,
+    robot: Robot,
+    reach: ReachScorer,
+    *,
+    count: int,
+    config: PipelineConfig,
+    seed: int,
+) -> Bool[np.ndarray, "levels n"]:
+    """Check at which disturbed base poses the replanned arm still does the task.
+
+    Args:
+        plan: A solved plan.
+        scene, robot, reach: Inputs of the plan.
+        count: Base poses at each level.
+        config: Configuration of the planner.
+        seed: Same seed, same poses.
+    """
+    assert plan.base_pose is not None
+    base, rng = np.array(plan.base_pose), np.random.default_rng(seed)
+    task, robot = replace(plan.task, farthest=False), opened_as(robot, plan.robot_rest)
+
+    def works(pose: Float[np.ndarray, "3"]) -> bool:
+        if plan.moves_base:  # as a run continues from there
+            return motion_from(plan, scene, robot, pose).motion is not None
+        attempt = check_base_pose(
+            scene, robot, task, pose, reach, how_far=False, config=config, seed=seed
+        )
+        return attempt.motion is not None
+
+    poses = [disturbed_poses(base, off, turn, count, rng) for off, turn in LEVELS]
+    return np.array([[works(pose) for pose in level] for level in poses], bool)
+
 
 WARM_UP = SuiteTask("warm", "", "kitchen_small", "segway_ur5e", "open", "fridge", "door_hinge")
 """Task that each process plans once per method before it measures, to load the kernels."""

@@ -1,16 +1,19 @@
-"""Methods to compare, and variants of them: `paper:paper.group=1,importance.k0=1`."""
+"""Methods to compare and their variants, and scenes with opened containers."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
+
 from momapos.core import InputError, unknown_name
+from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, apply_settings, parse_setting
 from momapos.planning.placement import Method
 
-from .bench_records import DEFAULT_PROTOCOL, Protocol
+from .bench_records import DEFAULT_PROTOCOL, Container, Protocol
 
 METHODS: tuple[str, ...] = get_args(Method)
 
@@ -58,3 +61,27 @@ def method_config(
     for fixed in {one.path for one in conditions} & {one.path for one in settings}:
         raise InputError(f"{source} a variant can't set {fixed}, which the protocol sets")
     return apply_settings(config, [*settings, *conditions])
+
+
+def without(scene: Scene, names: Collection[str]) -> Scene:
+    """Return the scene without some objects."""
+    return replace(scene, objects=tuple(o for o in scene.objects if o.name not in names))
+
+
+def opened(scene: Scene, box: Container, value: float, carried: Collection[str]) -> Scene:
+    """Return the scene with an opened container.
+
+    Args:
+        scene: The scene before.
+        box: The container.
+        value: New value of its joint [rad] or [m].
+        carried: Objects that move with it.
+    """
+    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
+    link = holder.model.joint(box.joint).child
+    T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
+    objects = (
+        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
+        for item in after.objects
+    )
+    return replace(after, objects=tuple(objects))

@@ -1,30 +1,199 @@
-"""Build the tables of a report."""
+"""Build the tables of a report.
+
+Only solved tasks count, as in the paper: an infeasible answer models every object.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from .bench_records import Row, Suite
-from .markdown_report import Table
 from .metrics import (
+    CONFIDENCE,
     GRID,
+    KITCHEN,
+    LABORATORY,
+    MARK,
+    PrintedTable,
+    Table,
     grouped,
     labeled,
     paired_p_value,
     percentile,
+    printed_table,
     reasons,
     share,
     shortest_drives,
+    simulation_table,
     solved_by_any,
     stage_shares,
     succeeded,
 )
-from .orderings import ordering_table
-from .printed import KITCHEN, LABORATORY, PrintedTable, printed_table, simulation_table
-from .scan_stages import from_scan, modeling_table, printed_stages
+
+FIGURES = {"success": ("%", -1.0), "driving": ("m", 1.0), "time": ("s", 1.0)}
+"""Figures of the table: unit, and the sign that makes less better."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A method's figure of one task, in print and here."""
+
+    name: str
+    printed: float
+    mean: float
+    by_task: dict[str, float]
+    """Value of each task that counts."""
+
+
+def ordering_table(rows: Sequence[Row], protocol: str, published: PrintedTable) -> Table:
+    """Build the table with a sentence for each order of the methods that differs from print.
+
+    Two methods differ here if a sign test over the same tasks says so (for success McNemar's test),
+    at 95 %. An order differs if it lacks or reverses a difference that is in print.
+    """
+    lines = tuple(
+        (text,)
+        for task in published.tasks
+        for figure in FIGURES
+        if (text := _sentence(task, figure, [r for r in rows if r.group == task], published))
+    )
+    note = "=: no significant difference between neighbors (sign test over the tasks, 95 %)."
+    title = f"Orders of the methods that differ from the published table ({protocol})"
+    return Table(title, ("order",), lines, note)
+
+
+def _sentence(task: str, figure: str, rows: Sequence[Row], published: PrintedTable) -> str:
+    """Return the sentence for one figure of one task; "" if the order is as in print."""
+    entries = [
+        _Entry(one.name, getattr(one, figure), float(np.mean(list(values.values()))), values)
+        for one in published.lines
+        if one.task == task
+        and (values := _values(figure, _of_method(rows, published.methods[one.name])))
+    ]
+    unit, sign = FIGURES[figure]
+    printed = sorted(entries, key=lambda one: sign * one.printed)
+    differ = [(a, b) for a, b in combinations(printed, 2) if a.printed != b.printed]
+    if all(_is_better(better, worse, sign) for better, worse in differ):
+        return ""
+    here = sorted(entries, key=lambda one: sign * one.mean)
+    mark, in_table, digits = (">", 0, 0) if sign < 0 else ("<", 1, 2)
+    in_print = _chain(
+        [f"{one.name} {one.printed:.{in_table}f}" for one in printed],
+        [mark if one.printed != other.printed else "=" for one, other in pairwise(printed)],
+    )
+    measured = _chain(
+        [f"{one.name} {one.mean:.{digits}f}" for one in here],
+        [mark if _is_better(one, other, sign) else "=" for one, other in pairwise(here)],
+    )
+    return f"{task.capitalize()}, {figure} [{unit}]: in print {in_print}; here {measured}."
+
+
+def _of_method(rows: Sequence[Row], method: str) -> list[Row]:
+    return [row for row in rows if row.method == method]
+
+
+def _values(figure: str, rows: Sequence[Row]) -> dict[str, float]:
+    """Return the figure of each task: success of all in percent, else of the solved ones."""
+    if figure == "success":
+        return {row.task: 100.0 * succeeded(row) for row in rows}
+    field = "driving" if figure == "driving" else "seconds"
+    known = {row.task: getattr(row, field) for row in rows if succeeded(row)}
+    return {task: value for task, value in known.items() if value is not None}
+
+
+def _is_better(one: _Entry, other: _Entry, sign: float) -> bool:
+    """Return whether one method is significantly better than another over the same tasks."""
+    shared = one.by_task.keys() & other.by_task.keys()
+    gain = [sign * (other.by_task[task] - one.by_task[task]) for task in shared]
+    better, worse = sum(value > 0 for value in gain), sum(value < 0 for value in gain)
+    ahead = sign * (other.mean - one.mean) > 0 and better > worse
+    return ahead and paired_p_value(better, worse) < 1 - CONFIDENCE
+
+
+def _chain(names: Sequence[str], marks: Sequence[str]) -> str:
+    return " ".join(word for pair in zip(names, [*marks, ""], strict=True) for word in pair if word)
+
+
+SURVEY, MODELING, CHECKS = "survey", "modeling", "checks"
+"""Stages: from the images to the boxes of all objects; the models; all but the named stages."""
+STAGES: Mapping[str, float] = {MODELING: 58.0, CHECKS: 40.0, "potential": 0.9, "importance": 0.8}
+"""The paper's shares of the time [%]; it names no time for the boxes of the objects."""
+
+
+def from_scan(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of tasks that were solved from a scan."""
+    return [row for row in rows if MODELING in row.stages and succeeded(row)]
+
+
+def printed_stages(rows: Sequence[Row]) -> Table:
+    """Build the table of the shares of time from scan to motion, with the paper's.
+
+    Each method has two lines: of the whole time, and of the time without the survey.
+    """
+    lines = []
+    for method, mine in grouped(from_scan(rows), lambda row: row.method).items():
+        for words, without in ((method, ()), (f"{method}, without {SURVEY}", (SURVEY,))):
+            shares = scan_shares(mine, without)
+            cells = (
+                f"{shares[stage]:.1f} %" if stage in shares else "-" for stage in (SURVEY, *STAGES)
+            )
+            lines.append((words, *cells))
+    printed = (f"{share:.1f} %" for share in STAGES.values())
+    lines.append((f"MoMa-Pos, {MARK}", "-", *printed))
+    note = (
+        f"Shares of the processor time of solved tasks. {SURVEY}: from the images to a labeled box "
+        f"of each object, which the paper's table does not contain. {CHECKS}: all other stages, "
+        "mainly the arm motions at the samples."
+    )
+    return Table("From scan to motion", ("method", SURVEY, *STAGES), tuple(lines), note)
+
+
+def modeling_table(rows: Sequence[Row]) -> Table:
+    """Build the table of the time to model objects by class: the paper's figure."""
+    chosen = from_scan(rows)
+    classes = list(dict.fromkeys(row.group for row in chosen))
+    lines = []
+    for method, times in modeling_times(chosen).items():
+        cells = (f"{times[name]:.2f} s" if name in times else "-" for name in classes)
+        lines.append((method, *cells))
+    note = (
+        f"Mean processor time of the models in solved tasks, without the {SURVEY}. The variant "
+        "paper:importance.alpha=0 models every object."
+    )
+    return Table("Modeling time by class", ("method", *classes), tuple(lines), note)
+
+
+def modeling_times(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
+    """Return the mean time to model objects by method and class [s]."""
+    return {
+        method: {
+            name: float(np.mean([row.stages[MODELING] for row in some]))
+            for name, some in grouped(mine, lambda row: row.group).items()
+        }
+        for method, mine in grouped(from_scan(rows), lambda row: row.method).items()
+    }
+
+
+def scan_shares(rows: Sequence[Row], without: Sequence[str] = ()) -> dict[str, float]:
+    """Return the share of each stage in the time from scan to motion [%]; empty for no time.
+
+    Args:
+        rows: The answers.
+        without: Stages that don't count.
+    """
+    spent: dict[str, float] = dict.fromkeys((SURVEY, *STAGES), 0.0)
+    for row in rows:
+        for stage, seconds in row.stages.items():
+            spent[stage if stage in spent else CHECKS] += seconds
+    counted = {stage: seconds for stage, seconds in spent.items() if stage not in without}
+    total = sum(counted.values())
+    return {stage: 100 * seconds / total for stage, seconds in counted.items()} if total else {}
+
 
 PUBLISHED: dict[str, PrintedTable] = {
     "paper-real": LABORATORY, "paper-table": LABORATORY, "authors-sim": KITCHEN,

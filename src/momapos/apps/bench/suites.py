@@ -204,13 +204,13 @@ def spread(by_group: Mapping[str, Sequence[SuiteTask]], count: int) -> list[Suit
 
 
 def _paper_real(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
-    from .laboratory import laboratory_tasks
+    from .paper_rooms import laboratory_tasks
 
     return laboratory_tasks(seed, robots, folder)
 
 
 def _authors_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
-    from .authors_kitchens import simulation_tasks
+    from .paper_rooms import simulation_tasks
 
     return simulation_tasks(seed, robots, folder)
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from momapos.planning.importance import ImportanceConfig
 
 ANSWER = (
-    "momapos.core.geometry.monotone_chain._chain",
+    "momapos.core.geometry.polygons._chain",
     "momapos.model.collision.base_collision._hit",
     "momapos.model.kinematics.chain.forward",
     "momapos.model.kinematics.chain.stand_at_origin",
@@ -23,24 +23,24 @@ ANSWER = (
     "momapos.model.collision.collision_world._state_hits",
     "momapos.model.collision.straight_motions._path_hit",
     "momapos.planning.arm_motion.arm_path._track",
-    "momapos.planning.arm_motion.enclosure._enclosing",
+    "momapos.planning.arm_motion.hand_clearance._enclosing",
     "momapos.planning.arm_motion.hand_clearance._hand_hits",
     "momapos.planning.arm_motion.ik_layers._solve_layers",
-    "momapos.planning.arm_motion.path_graph._shortest_free_path",
-    "momapos.planning.arm_motion.rrt_connect.connect",
-    "momapos.planning.grasps.swept_boxes._surface",
-    "momapos.planning.grasps.swept_boxes._touches",
-    "momapos.planning.navigation.car_connection.shortest_lengths",
+    "momapos.planning.arm_motion.arm_path._shortest_free_path",
+    "momapos.planning.arm_motion.arm_planner.connect",
+    "momapos.planning.grasps.handle_shapes._surface",
+    "momapos.planning.grasps.handle_shapes._touches",
+    "momapos.planning.navigation.reeds_shepp.shortest_lengths",
     "momapos.planning.navigation.convex_polygons._covered_polygons",
     "momapos.planning.navigation.outline_gaps._gaps",
-    "momapos.planning.navigation.grid_distance._clearance",
-    "momapos.planning.navigation.grid_distance._path_lengths",
+    "momapos.planning.navigation.cost_map._clearance",
+    "momapos.planning.navigation.cost_map._path_lengths",
     "momapos.planning.navigation.lattice._expand",
     "momapos.planning.navigation.lattice.car_curves",
     "momapos.planning.navigation.lattice.connections",
     "momapos.planning.navigation.lattice.shorten",
     "momapos.planning.navigation.lattice.standable",
-    "momapos.planning.placement.potential._sees",
+    "momapos.planning.placement.grasp_scores._sees",
     "momapos.planning.reachability.grid.min_line_scores",
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
@@ -49,12 +49,12 @@ ANSWER = (
 )
 """Kernels for planning."""
 CHECK = (
-    "momapos.model.robots.arm_states._touches",
-    "momapos.model.robots.resting_states._extents",
+    "momapos.model.robots.load_limits._touches",
+    "momapos.model.robots.homes._extents",
 )
 """Further kernels for checking a robot, which also plans."""
 VERIFY = (
-    "momapos.core.geometry.monotone_chain._chain",
+    "momapos.core.geometry.polygons._chain",
     "momapos.verification.convex.overlap",
     "momapos.verification.exact_shapes._place",
     "momapos.verification.sweep._deepest",
@@ -62,13 +62,13 @@ VERIFY = (
 )
 """Kernels for verification."""
 RANK = (
-    "momapos.planning.importance.relations._hierarchy",
-    "momapos.planning.importance.relations._nearest",
+    "momapos.planning.importance.scene_graph._hierarchy",
+    "momapos.planning.importance.scene_graph._nearest",
 )
 """Kernels for the scene graph and the reach scores."""
 WALKS = (
-    "momapos.planning.importance.embedding._train",
-    "momapos.planning.importance.random_walks._walk",
+    "momapos.planning.importance.scorers._train",
+    "momapos.planning.importance.scorers._walk",
 )
 """Further kernels for the scores of walks."""
 

@@ -30,7 +30,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         "list, show, check, generate, convert and scan scenes",
         {
             "list": "scene:scene_list", "show": "scene:scene_show",
-            "check": "scene_check:scene_check", "new": "scene:scene_new",
+            "check": "scene:scene_check", "new": "scene:scene_new",
             "convert": "scene:scene_convert", "scan": "scan_synthetic:scene_scan",
         },
     ),
@@ -55,8 +55,8 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "bench": (
         "compare methods: run a suite of tasks, report the results",
         {
-            "run": "bench:bench_run", "report": "bench_report:bench_report",
-            "data": "bench_report:bench_data",
+            "run": "bench:bench_run", "report": "bench:bench_report",
+            "data": "bench:bench_data",
         },
     ),
 }  # fmt: skip

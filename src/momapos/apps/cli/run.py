@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from momapos.core import InputError, check_outputs, say
 
 from .base_pose_words import parse_pose
+from .loading import numbered, open_plans, plans_of
 from .options import (
     Flag,
     OptionalCount,
@@ -24,7 +25,6 @@ from .options import (
     check_seed,
     optional,
 )
-from .plan_sources import numbered, open_plans, plans_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

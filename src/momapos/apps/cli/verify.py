@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from momapos.core import say
 
+from .loading import check_plan_file
 from .options import Flag, OptionalFolder, PlanArg
-from .plan_sources import check_plan_file
 
 
 def verify(

@@ -6,23 +6,201 @@ import os
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from momapos.apps.synthetic_scans import (
+    Backdrop,
+    RenderWorld,
+    join_worlds,
+    link_of_triangles,
+    look_at,
+    moved_world,
+    pinhole,
+    render_backdrop,
+    render_frame,
+    render_world,
+)
 from momapos.core import InputError
+from momapos.core.geometry import invert, pose, pose_planar
 from momapos.model.records import Task
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, SceneObject
 from momapos.simulation import RunRecord
 
-from .episode_images import Camera, EpisodeRenderer
 from .timeline import Timeline, run_timeline
 
 if TYPE_CHECKING:
-    from jaxtyping import Float32, UInt8
+    from jaxtyping import Float, Float32, Int, UInt8
+
+
+Camera = Literal["room", "hand"]
+RGB = tuple[float, float, float]
+CAMERAS: tuple[Camera, ...] = ("room", "hand")
+"""room: to the side of the robot at its base pose, still, toward the grasp; hand: on the hand."""
+FOCAL = {"room": 0.85, "hand": 0.6}
+"""Focal length of each camera, as a share of the image width [-]; 61 and 80 deg wide."""
+ROOM_DISTANCE, ROOM_SIDE, ROOM_HEIGHT = 1.9, 0.7, 1.7
+"""Distance of the room's camera from its aim [m], angle to the robot [rad], and height [m]."""
+ROBOT_COLOR = (0.80, 0.81, 0.83)
+"""sRGB color of robots, whose files have none."""
+HAND_BACK, HAND_OFF = 0.12, 0.07
+"""How far the hand's camera is behind the tool frame and off the hand's approach axis [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """An object as triangles in the frames of its links, to be placed at any state."""
+
+    world: RenderWorld
+    link: Int[np.ndarray, " n"]
+    """Index of the link of each triangle."""
+    local: Float[np.ndarray, "n 3 3"]
+    """Corners in the frames of the links [m]."""
+
+    @classmethod
+    def of(cls, scene: Scene, item: SceneObject, color: RGB | None = None) -> _Moving:
+        """Prepare an object; a color replaces its materials."""
+        alone = replace(scene, objects=(item,))
+        world = render_world(alone, np.random.default_rng(0), floor=False)
+        if color is not None:
+            gray = tuple(replace(material, color=color) for material in world.materials)
+            world = replace(world, materials=gray)
+        link = link_of_triangles(item)
+        T = invert(_link_poses(item))[link]
+        return cls(world, link, np.einsum("nij,nkj->nki", T[:, :3, :3], world.triangles)
+                   + T[:, None, :3, 3])  # fmt: skip
+
+    def placed(self, item: SceneObject) -> Float[np.ndarray, "n 3 3"]:
+        """Return the triangles of the object in another state [m]."""
+        T = _link_poses(item)[self.link]
+        return self.local @ T[:, :3, :3].swapaxes(1, 2) + T[:, None, :3, 3]
+
+
+def _link_poses(item: SceneObject) -> Float[np.ndarray, "l 4 4"]:
+    poses = item.link_poses()
+    return np.array([poses[name] for name in item.model.urdf.links])
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeRenderer:
+    """Renders the scene with the robot and the moved object at samples of a timeline."""
+
+    scene: Scene
+    robot: Robot
+    timeline: Timeline
+    size: tuple[int, int]
+    """Width and height of the images [px]."""
+    still: RenderWorld
+    """Everything that does not move."""
+    T_world_room: Float[np.ndarray, "4 4"]
+    """Pose of the room's camera."""
+
+    @classmethod
+    def of(
+        cls, scene: Scene, robot: Robot, timeline: Timeline, size: tuple[int, int]
+    ) -> EpisodeRenderer:
+        """Prepare the rendering of a run in a scene."""
+        others = tuple(item for item in scene.objects if item.name != timeline.task.object)
+        still = render_world(replace(scene, objects=others), np.random.default_rng(0))
+        return cls(scene, robot, timeline, size, still, _room_camera(scene, timeline))
+
+    def prepare(self, cameras: Sequence[Camera]) -> None:
+        """Compute what all images share, before several threads render them."""
+        self.images(0, cameras)
+
+    def images(
+        self, sample: int, cameras: Sequence[Camera]
+    ) -> Mapping[Camera, UInt8[np.ndarray, "h w 3"]]:
+        """Render what cameras see at a sample."""
+        robot = self._robot(sample)
+        moving = [
+            self._moving_object.placed(self._object(sample)),
+            self._moving_robot.placed(robot),
+        ]
+        world = moved_world(self._world, np.concatenate(moving))
+        found: dict[Camera, UInt8[np.ndarray, "h w 3"]] = {}
+        for camera in cameras:
+            room = camera == "room"
+            T = self.T_world_room if room else self._hand_camera(robot)
+            found[camera] = render_frame(
+                world, T, self._lens(camera), self.size, backdrop=self._backdrop if room else None
+            ).color
+        return found
+
+    def _lens(self, camera: Camera) -> Float[np.ndarray, "3 3"]:
+        return pinhole(self.size, FOCAL[camera] * self.size[0])
+
+    @cached_property
+    def _world(self) -> RenderWorld:
+        """What stands still, the object and the robot, in this order."""
+        world = join_worlds(self.still, self._moving_object.world)
+        return join_worlds(world, self._moving_robot.world)
+
+    @cached_property
+    def _backdrop(self) -> Backdrop:
+        return render_backdrop(self.still, self.T_world_room, self._lens("room"), self.size)
+
+    @cached_property
+    def _moving_object(self) -> _Moving:
+        return _Moving.of(self.scene, self._object(0))
+
+    @cached_property
+    def _moving_robot(self) -> _Moving:
+        return _Moving.of(self.scene, self._robot(0), ROBOT_COLOR)
+
+    @cached_property
+    def _T_base_root(self) -> Float[np.ndarray, "4 4"]:
+        return invert(self.robot.model.link_poses({})[self.robot.base_link])
+
+    def _values(self, sample: int) -> dict[str, float]:
+        values = self.timeline.samples.positions[sample].tolist()
+        return dict(zip(self.timeline.joints, values, strict=True))
+
+    def _robot(self, sample: int) -> SceneObject:
+        """Return the robot as an object of the scene."""
+        model = self.robot.model
+        T = pose_planar(self.timeline.samples.base[sample]) @ self._T_base_root
+        held = {**model.held, **self._values(sample)}
+        free = {n: v for n, v in held.items() if n in model.joints and model.joint(n).mimic is None}
+        return SceneObject(self.robot.name, "robot", T, model, free)
+
+    def _object(self, sample: int) -> SceneObject:
+        """Return the object of the task as it is at a sample."""
+        item = self.scene.object(self.timeline.task.object)
+        poses = self.timeline.Ts_world_object
+        if poses is not None:
+            return replace(item, T_world_object=poses[sample])
+        limits = {name: item.joint(name) for name in self.timeline.object_values(sample)}
+        moved = {
+            name: float(np.clip(value, limits[name].lower, limits[name].upper))
+            for name, value in self.timeline.object_values(sample).items()
+        }
+        return replace(item, joints={**item.joints, **moved})
+
+    def _hand_camera(self, placed: SceneObject) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of the camera on the hand: it looks along the approach axis."""
+        robot, T_world_tool = self.robot, placed.link_poses()[self.robot.tool_link]
+        ahead, right = robot.approach_axis, robot.closing_axis
+        down = np.cross(ahead, right)
+        eye = -HAND_BACK * ahead - HAND_OFF * down
+        return T_world_tool @ pose(eye, np.stack([right, down, ahead], axis=1))
+
+
+def _room_camera(scene: Scene, timeline: Timeline) -> Float[np.ndarray, "4 4"]:
+    """Return a pose from which robot and object are seen when the base has arrived."""
+    base = timeline.samples.base[-1]
+    target = scene.object(timeline.task.object).bounds.mean(0)
+    away = base[:2] - target[:2]
+    angle = np.arctan2(away[1], away[0]) + ROOM_SIDE
+    aim = np.append(0.5 * (base[:2] + target[:2]), 0.8)
+    eye = np.append(aim[:2] + ROOM_DISTANCE * np.array([np.cos(angle), np.sin(angle)]), ROOM_HEIGHT)
+    return look_at(eye, aim)
+
 
 RATE = 10.0
 """Frames per second, the rate of a record [1/s]."""

@@ -20,9 +20,8 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import Hull
 
-from .phases import Samples
 from .ros2 import BASE_JOINT, stamp
-from .timeline import Timeline
+from .timeline import Samples, Timeline
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -12,11 +12,10 @@ from momapos.core import label
 from momapos.model.scene import Scene
 from momapos.planning.importance import KINDS, Importance
 
-from .answer_plot import COLUMN, DPI, MAP, SIZE, new_figure, set_view, widen
+from .answer_plot import COLUMN, DPI, MAP, SIZE, TextColumn, new_figure, set_view, widen
 from .image_files import check_figure_path, save_figure
 from .palette import FAINT, INK, RELATIONS, SELECTED, SELECTED_BAR, SOFT_INK, UNSELECTED, WAYPOINT
 from .room_plot import draw_room, name_objects, room_bounds
-from .text_panel import TextColumn
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -14,8 +14,8 @@ from momapos.planning.reachability import ReachMap, load_reach
 
 from .answer_plot import draw_answer
 from .opening_plot import draw_opening_map_alone
-from .reach_slices import draw_reach, tool_axes
-from .scene_outlines import draw_scene
+from .robot_figures import draw_reach, tool_axes
+from .room_plot import draw_scene
 
 
 def scene_png(scene: Scene) -> bytes:

@@ -14,13 +14,18 @@ from momapos.model.scene import Scene
 from momapos.planning import YAWS, OpeningMap, PlacementResult
 from momapos.planning.grasps import slides
 
-from .answer_plot import DPI, moving_links, new_figure, set_view, widen
+from .answer_plot import DPI, moving_links, new_figure, reached_value, set_view, shown_base, widen
 from .image_files import check_figure_path, save_figure
-from .outlines import box_bounds, box_outlines, draw_union
 from .palette import INK, PART, PART_BEFORE, PART_EDGE, SOFT_INK
-from .robot_plot import draw_footprint
-from .room_plot import draw_room, name_objects, room_bounds
-from .text_panel import reached_value, shown_base
+from .room_plot import (
+    box_bounds,
+    box_outlines,
+    draw_footprint,
+    draw_room,
+    draw_union,
+    name_objects,
+    room_bounds,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float

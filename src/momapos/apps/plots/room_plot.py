@@ -1,21 +1,103 @@
-"""A room from above: floor, walls, furniture, and names that do not overlap."""
+"""Rooms and robots from above."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from momapos.core import label
-from momapos.core.geometry import apply
+from momapos.core.geometry import apply, place_points, pose, pose_planar, signed_area
+from momapos.model.kinematics import chain_arrays, forward, stand_at_origin
+from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import Boxes
 
 from . import palette
-from .outlines import draw_union, outline
+from .image_files import save_figure
+from .palette import ARM, INK
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+_CORNERS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+
+
+def box_corners(boxes: Boxes) -> Float[np.ndarray, "b 8 3"]:
+    """Return the corners of boxes [m]; the coordinates vary from y (slowest) over x to z."""
+    scaled = _CORNERS[None] * boxes.half[:, None]
+    return np.einsum("bij,bcj->bci", boxes.rotation, scaled) + boxes.center[:, None]
+
+
+def outline(points: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "k 2"] | None:
+    """Return the counterclockwise convex outline of points from above; None without an area."""
+    try:
+        xy = points[ConvexHull(points[:, :2]).vertices, :2]
+    except (QhullError, ValueError):
+        return None
+    return xy if signed_area(xy) > 0 else xy[::-1]
+
+
+def box_outlines(boxes: Boxes) -> list[Float[np.ndarray, "_ 2"]]:
+    """Return the outline of each box from above [m]."""
+    corners, upright = box_corners(boxes), _upright_outlines(boxes)
+    found = [
+        upright[b] if upright[b] is not None else outline(corners[b]) for b in range(len(boxes))
+    ]
+    return [xy for xy in found if xy is not None]
+
+
+def _upright_outlines(boxes: Boxes) -> list[Float[np.ndarray, "4 2"] | None]:
+    """Return the rectangles of boxes that stand on a side; None for the others."""
+    each = np.arange(len(boxes))
+    up = np.abs(boxes.rotation[:, 2]).argmax(1) if len(boxes) else each
+    a, b = (
+        boxes.rotation[each, :2, (up + k) % 3] * boxes.half[each, (up + k) % 3, None]
+        for k in (1, 2)
+    )
+    b *= np.where(a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0], -1.0, 1.0)[:, None]
+    corners = boxes.center[:, None, :2] + np.stack([-a - b, a - b, a + b, b - a], axis=1)
+    stands = np.abs(boxes.rotation[each, 2, up]) > 1 - 1e-9
+    return [xy if ok else None for xy, ok in zip(corners, stands, strict=True)]
+
+
+def box_bounds(boxes: Boxes) -> Float[np.ndarray, "n 2"]:
+    """Return the lower and then the upper corners of boxes from above [m]."""
+    extent = np.einsum("bij,bj->bi", np.abs(boxes.rotation[:, :2]), boxes.half)
+    return np.concatenate([boxes.center[:, :2] - extent, boxes.center[:, :2] + extent])
+
+
+def draw_union(
+    axes: Any,
+    polygons: Sequence[Float[np.ndarray, "_ 2"]],
+    *,
+    fill: str,
+    edge: str | None = None,
+    width: float = 0.8,
+    alpha: float = 1.0,
+    zorder: float,
+) -> None:
+    """Fill the union of counterclockwise polygons, and draw its outline if the fill is opaque.
+
+    The limits of the axes do not change.
+    """
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    if not len(polygons):
+        return
+    rings = (Path(np.vstack([p, p[:1]]), closed=True) for p in polygons)
+    path = Path.make_compound_path(*rings)
+    if edge is not None:
+        # The fill covers the inner half of the line.
+        rim = {"edgecolor": edge, "linewidth": 2 * width, "joinstyle": "round"}
+        axes.add_artist(PathPatch(path, facecolor="none", zorder=zorder, **rim))
+    axes.add_artist(PathPatch(path, facecolor=fill, linewidth=0, alpha=alpha, zorder=zorder))
+
 
 OVERHEAD = 1.2
 """Shapes above this height are drawn as dashed outlines [m]."""
@@ -182,3 +264,117 @@ def _spot(
 
 def _overlap(a: np.ndarray, b: np.ndarray) -> bool:
     return bool((a[0] < b[1]).all() and (b[0] < a[1]).all())
+
+
+FOOTPRINT_LAYER, ARM_LAYER = 9.0, 13.0
+
+
+def draw_footprint(
+    axes: Any,
+    robot: Robot,
+    base: Float[np.ndarray, "3"],
+    *,
+    dashed: bool = False,
+    filled: bool = True,
+) -> None:
+    """Draw the footprint of the base with an arrow for its heading."""
+    from matplotlib.patches import Polygon
+
+    xy = place_points(np.asarray(base, float)[None], robot.footprint)[0]
+    opacity, width, dashes = (0.55, 1.0, (0, (3.5, 2))) if dashed else (0.72, 1.6, "solid")
+    shape = Polygon(
+        xy, facecolor=(1, 1, 1, opacity if filled else 0.0), edgecolor=INK, linewidth=width,
+        linestyle=dashes, zorder=FOOTPRINT_LAYER,
+    )  # fmt: skip
+    axes.add_patch(shape)
+    front = robot.footprint[:, 0].max()
+    heading = np.array([np.cos(base[2]), np.sin(base[2])])
+    tail, tip = base[:2] - 0.3 * front * heading, base[:2] + 0.85 * front * heading
+    arrow = {"arrowstyle": "-|>", "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0}
+    arrow |= {"color": INK, "linewidth": 0.95 * width}
+    axes.annotate("", tip, tail, arrowprops=arrow, zorder=FOOTPRINT_LAYER + 0.5)
+
+
+def draw_arm(
+    axes: Any,
+    robot: Robot,
+    base: Float[np.ndarray, "3"],
+    q: Float[np.ndarray, " n"],
+    *,
+    faint: bool = False,
+) -> None:
+    """Draw the silhouette of the arm's links, and a line through its joints."""
+    poses, line = arm_frames(robot, base, q)
+    bodies = [
+        outline(apply(T, hull.vertices))
+        for link, T in poses.items()
+        for hull in robot.model.hulls[link]
+    ]
+    silhouette = [xy for xy in bodies if xy is not None]
+    layer = ARM_LAYER - (1.0 if faint else 0.0)
+    draw_union(axes, silhouette, fill=ARM, alpha=0.13 if faint else 0.32, zorder=layer)
+    if not faint:
+        axes.plot(
+            *line.T, color=ARM, linewidth=1.6, marker="o", markersize=2.6, markerfacecolor="white",
+            markeredgewidth=0.8, solid_capstyle="round", zorder=layer + 0.5,
+        )  # fmt: skip
+
+
+def arm_frames(
+    robot: Robot, base: Float[np.ndarray, "3"], q: Float[np.ndarray, " n"]
+) -> tuple[dict[str, Float[np.ndarray, "4 4"]], Float[np.ndarray, "k 2"]]:
+    """Return the world poses of the arm's links, and the line through its joints and tool [m]."""
+    chain, segments = robot.chain, robot.segments
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    stand_at_origin(R, p)
+    forward(np.ascontiguousarray(q, float), chain_arrays(chain), R, p)
+    T_world_base = pose_planar(np.asarray(base, float))
+    poses = {
+        link: T_world_base @ pose(p[s], R[s]) @ segments.T_segment_link[link]
+        for link, s in segments.of_link.items()
+        if s > 0
+    }
+    tool = p[-1] + R[-1] @ chain.tool_offset
+    return poses, apply(T_world_base, np.vstack([p[1:], tool]))[:, :2]
+
+
+MAX_NAMED_OBJECTS = 300
+"""Scenes with more objects have no names, which would overlap and take minutes to draw [-]."""
+
+
+def draw_scene(scene: Scene, path: Path) -> None:
+    """Draw a scene from above: the outlines of all hulls, the floor, the start."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Polygon
+
+    figure = Figure(figsize=(8, 8), layout="constrained")
+    axes = figure.subplots()
+    if scene.floor_polygon is not None:
+        axes.add_patch(Polygon(scene.floor_polygon, facecolor="0.95", edgecolor="0.5", zorder=0))
+    shapes: list[tuple[float, Float[np.ndarray, "k 2"], str]] = []
+    for index, item in enumerate(scene.objects):
+        for link, T in item.link_poses().items():
+            for hull in item.model.hulls[link]:
+                points = apply(T, hull.vertices)
+                if (xy := outline(points)) is not None:
+                    shapes.append((float(points[:, 2].max()), xy, f"C{index % 10}"))
+        if len(scene.objects) <= MAX_NAMED_OBJECTS:
+            x, y = item.bounds.mean(0)[:2]
+            axes.text(x, y, label(item.name), ha="center", va="center", size=7, zorder=99)
+    shapes.sort(key=lambda shape: shape[0])  # higher shapes are drawn over lower ones
+    colors = [color for _, _, color in shapes]
+    axes.add_collection(
+        PolyCollection(
+            [xy for _, xy, _ in shapes],
+            facecolors=[(color, 0.35) for color in colors],
+            edgecolors=[(color, 0.35) for color in colors],
+        )
+    )
+    if scene.start is not None:
+        x, y, yaw = scene.start
+        axes.plot(x, y, "ko")
+        axes.arrow(x, y, 0.4 * np.cos(yaw), 0.4 * np.sin(yaw), width=0.02, color="k")
+    axes.autoscale_view()
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title=label(scene.name))
+    save_figure(figure, path, dpi=110)

@@ -1,17 +1,126 @@
-"""Generate JSON Schemas from the records that files are read into."""
+"""Generate JSON Schemas and tables of members from the records that files are read into."""
 
 from __future__ import annotations
 
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
-from .plan_words import WORDS
+from momapos.model.plan_files import PlanAssumption
+from momapos.model.records import Status, Verb
+
+WORDS: dict[str, dict[str, str]] = {
+    "Plan": {
+        "format": "Name of the format.",
+        "version": "Version of the format.",
+        "scene": "Path of the scene file, relative to the plan.",
+        "robot": "The robot.",
+        "task": "The task.",
+        "status": "Whether there is a motion; `assumed`: for a less probable joint.",
+        "joints": "Names of the joints in each state: arm, and what follows it.",
+        "scene_joints": "Joint values that differ from the scene file, by object and joint "
+                        "[rad] or [m].",
+        "scene_hypotheses": "Index of the assumed hypothesis, by object and joint.",
+        "assumption": "What an assumed plan assumes.",
+        "resistance": "Known resistance of the moved part, by object and joint.",
+        "overrides": "Forces and masses that the user has set, against or beyond the files.",
+        "loads": "Worst loads of the motion.",
+        "feasible_to": "Largest feasible value of an infeasible task [rad] or [m].",
+        "feasible_from": "A base pose from which it is feasible.",
+        "feasible_sure": "Whether the part itself is blocked beyond this value.",
+        "advice": "A change with which a plan exists.",
+        "start": "Pose of the base before the task.",
+        "base_pose": "Pose of the base at which the arm moves.",
+        "base_path": "Poses of the base from the start to the base pose: x [m], y [m], yaw [rad].",
+        "approach": "States of the arm from home to the grasp [rad] or [m].",
+        "approach_times": "Time of each state of the approach [s].",
+        "home": "States of the arm on its way home after the task [rad] or [m].",
+        "manipulation": "The motion from the grasp on.",
+        "navigation_cost": "Length of the drive [m].",
+        "cost": "Terms of the cost of the base pose, by name.",
+        "candidates": "The base poses that were examined.",
+        "importance": "The objects that were modeled with joints.",
+        "tolerance": "How far the base may be from its pose.",
+        "region": "Where the base was allowed to stand.",
+        "notes": "What a user should know, one line each.",
+        "timing": "Computing time by stage, and `total` of the search [s].",
+        "method": "Method of choosing base poses.",
+        "seed": "Seed of the search.",
+        "versions": "Versions of the packages that the answer depends on.",
+    },
+    "PlanRobot": {
+        "name": "Name of the robot.",
+        "urdf": "Path of its URDF, relative to the plan.",
+        "base_link": "Link on the floor.",
+        "tool_link": "Link whose frame is the tool frame.",
+        "file": "Name of a library robot, or path of a robot file.",
+        "srdf": "Path of an SRDF that is not next to the URDF.",
+        "rest": "Values of joints that the plan does not move, by joint [rad] or [m].",
+        "arm": "The arm, of a robot with several.",
+        "drive": "How the base drives.",
+        "min_turning_radius": "Least turning radius of a car-like base [m].",
+    },
+    "PlanTask": {
+        "verb": "What to do.",
+        "object": "The object.",
+        "joint": "The joint to move; null for a rigid object.",
+        "to": "Value that it must reach [rad] or [m].",
+        "farthest": "Whether this is the largest value that works.",
+        "follower": "Joint that the user named, which follows `joint`; empty if none.",
+    },
+    "PlanPose": {"x": "[m]", "y": "[m]", "yaw": "[rad]"},
+    "Manipulation": {
+        "q": "States of the arm, in the order of `joints` [rad] or [m].",
+        "object_q": "Value of the moved joint at each state [rad] or [m].",
+        "T_world_tool": "Pose of the tool frame in the world at each state, 4 x 4.",
+        "latch_q": "Value of the latch at each state [rad] or [m].",
+        "times": "Time of each state from the grasp on [s].",
+        "holds": "First and last state of each phase in which the hand holds the part.",
+        "turn_axes": "Axis about which the hand may turn in each phase, in the moved link's frame.",
+        "families": "Kind of grasp of each phase: pinch, hook, push or suction.",
+        "hold_words": "What is held and how, of each phase.",
+    },
+    "PlanNearestMiss": {"base_pose": "The base pose.", "reason": "What stopped it."},
+    "PlanCandidates": {
+        "sampled": "Number of base poses [-].",
+        "checked": "Number of base poses that were checked for an arm path [-].",
+        "rejections": "Number of rejected base poses, by reason [-].",
+        "nearest": "The rejected base pose that came nearest.",
+    },
+    "PlanImportance": {
+        "scorer": "How objects were scored.",
+        "alpha": "Score from which objects are modeled [-].",
+        "names": "Modeled objects.",
+        "scores": "Score of each object [-].",
+        "rounds": "How often a plan was checked again with more objects [-].",
+    },
+    "PlanRegion": {
+        "keep_in": "Areas in which the base must stand: corners x, y [m].",
+        "keep_out": "Areas that it must not touch, standing or driving: corners x, y [m].",
+        "facing": "Largest angle between its x axis and the direction to the grasp [rad].",
+        "most_driving": "Longest drive [m].",
+    },
+    "PlanTolerance": {
+        "radius": "Replanning succeeded from all sampled poses within this distance [m],",
+        "turn": "and within this turn [rad].",
+        "samples": "Number of sampled poses [-].",
+    },
+    "PlanCostTerm": {"value": "Before weighting.", "weight": "Its weight."},
+    "PlanAssumption": {
+        "kind": "Assumed kind of the part.",
+        "probability": "Its probability [-].",
+        "instead_of": "Most probable kind.",
+        "instead_probability": "Its probability [-].",
+        "feasible_to": "How far the most probable joint opens [rad] or [m].",
+    },
+}  # fmt: skip
+"""Descriptions by record and member."""
+
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
@@ -92,7 +201,6 @@ def _run() -> Schema:
 
 
 def _solve() -> Schema:
-    from .solve_file import SolveFile
 
     return _schema(SolveFile)
 
@@ -191,3 +299,106 @@ def _member_docs(kind: type) -> dict[str, str]:
 
 def _struct_fields(kind: type) -> tuple[msgspec.structs.FieldInfo, ...]:
     return msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
+
+
+HEAD = """# File formats
+
+Generated by `momapos schema --fields`. JSON Schemas are in `docs/schemas`, and
+`momapos schema NAME` prints one. A member with `*` is required. A changed meaning needs a new
+version; readers refuse versions that they do not know.
+"""
+
+
+def field_list(names: Sequence[str] = tuple(SCHEMAS)) -> str:
+    """Return the members of formats, as a page in Markdown."""
+    parts = [HEAD]
+    for name in names:
+        made = schema_of(name)
+        parts.append(f"## {made['title']}\n\n`momapos schema {name}`: {made['description']}\n")
+        parts.append(_table(made))
+        for record, part in sorted(made.get("$defs", {}).items()):
+            if "properties" in part:
+                words = part.get("description", "")
+                parts.append(f"### {name}: {record}\n\n{words}\n")
+                parts.append(_table(part))
+    return "\n".join(parts)
+
+
+def _table(record: Schema) -> str:
+    required = set(record.get("required", ()))
+    lines = ["| member | value | meaning |", "|---|---|---|"]
+    for member, part in record["properties"].items():
+        mark = "*" if member in required else ""
+        words = part.get("description", "").replace("|", "\\|")
+        lines.append(f"| `{member}`{mark} | {_value(part).replace('|', 'or')} | {words} |")
+    return "\n".join([*lines, ""])
+
+
+def _value(part: Schema) -> str:
+    """Return the type of a member in words."""
+    if "const" in part:
+        return f"`{part['const']}`"
+    if "enum" in part:
+        return ", ".join("null" if one is None else f"`{one}`" for one in part["enum"])
+    if "$ref" in part:
+        return str(part["$ref"].rpartition("/")[2])
+    if "anyOf" in part:
+        return " or ".join(dict.fromkeys(map(_value, part["anyOf"])))
+    kind = part.get("type", "any")
+    if kind == "array":
+        return " ".join(_items(part))
+    if kind == "object" and isinstance(part.get("additionalProperties"), dict):
+        return f"{_value(part['additionalProperties'])} by name"
+    return str(kind)
+
+
+def _items(part: Schema) -> Iterator[str]:
+    first: Any = part.get("prefixItems")
+    if first:
+        kinds = list(dict.fromkeys(map(_value, first)))
+        yield (
+            f"{len(first)} x {kinds[0]}"
+            if len(kinds) == 1
+            else f"[{', '.join(map(_value, first))}]"
+        )
+    else:
+        yield f"list of {_value(part.get('items', {}))}"
+
+
+class SolveFile(msgspec.Struct, kw_only=True):
+    """Record of a task in a scanned room; all files are in its folder."""
+
+    format: Literal["momapos-solve"]
+    version: Literal[1]
+    verb: Verb
+    object: str
+    joint: str | None
+    to: float | None
+    """Value that the task requests [rad] or [m]."""
+    robot: str
+    method: str
+    """Method of choosing base poses."""
+    seed: int
+    status: Status
+    """Status of the plan."""
+    assumption: PlanAssumption | None = None
+    done: bool | None
+    """Whether the run did the task; null if nothing was run."""
+    reason: str
+    """Why the run failed."""
+    cloud: str
+    """The fused cloud."""
+    scene: str
+    plan: str
+    run: str | None
+    """The record of the run."""
+    alphas: list[float]
+    """Importance thresholds at which the room was modeled, in order [-]."""
+    views: str
+    """How images of fronts are chosen."""
+    stand_ins: dict[str, str] = {}
+    """What does the work of networks of the paper, by network."""
+    modeled: list[str]
+    """Objects with joints."""
+    timing: dict[str, float]
+    """Computing time by stage, and "total" [s]."""

@@ -1,5 +1,5 @@
 from .opened import Opened as Opened
 from .opened import OpenedScan as OpenedScan
-from .origin import LOOPBACK as LOOPBACK
+from .serve import LOOPBACK as LOOPBACK
 from .serve import served as served
 from .static import write_page as write_page

@@ -12,8 +12,7 @@ from momapos.apps.export import CarriedObject
 from momapos.core import Clock
 
 from .motion_view import MotionView
-from .moving import DetailControl
-from .playback import values_at_end
+from .playback import DetailControl, values_at_end
 from .probe import Finding, Probe
 from .robot_view import home_values, joint_values
 from .state import PageState

@@ -7,9 +7,8 @@ import time
 import numpy as np
 
 from .compare import Compare
-from .moving import DetailControl
 from .panel import NO_MOTION
-from .playback import Playable, Player
+from .playback import DetailControl, Playable, Player
 from .state import PageState
 
 TEXT_INTERVAL = 0.2

@@ -3,31 +3,130 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Clock
+from momapos.apps.export import recorded_motion
+from momapos.core import Clock, InputError
+from momapos.core.geometry import pose_wxyz, wrap_angle
 from momapos.model.records import PlacementPlan, Scan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, load_scene
 from momapos.planning import PlacementResult, prepare
 from momapos.planning.grasps import slides
 from momapos.planning.placement import Search
-from momapos.simulation import RunRecord
+from momapos.simulation import RunMotion, RunRecord
 
 from .card import Card
-from .playback import Playable, Story
+from .playback import ActiveRoom, Moment, Playable, Story
 from .question import METHODS, Question
-from .run_story import RunStory
-from .tour_story import TourStory
+from .robot_view import home_values
 from .words import run_card, target_text, tour_card
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
+
     from momapos.perception import Modeled
+
+
+@dataclass(frozen=True)
+class RunStory:
+    """A run as moments, interpolated between those of the record."""
+
+    robot: Robot
+    joint: str | None
+    """The joint that the task moves; None for a movable object."""
+    motion: RunMotion
+
+    @classmethod
+    def of(cls, record: RunRecord, robot: Robot) -> RunStory:
+        """Build the motion of a run.
+
+        Raises:
+            InputError: The record has no motion, or belongs to another robot.
+        """
+        motion, task = recorded_motion(record, robot), record.true_task or record.task
+        return cls(robot, task.joint, motion)
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.motion.times[-1]
+
+    def at(self, seconds: float) -> Moment:
+        """Interpolate the moment at a time [s], clipped to the duration."""
+        motion = self.motion
+        times = np.array(motion.times)
+        i = int(np.clip(np.searchsorted(times, seconds, side="right") - 1, 0, len(times) - 2))
+        step = times[i + 1] - times[i]
+        share = float(np.clip((seconds - times[i]) / step, 0.0, 1.0)) if step > 0 else 1.0
+
+        def between(values: tuple[float, ...]) -> float:
+            return values[i] + share * (values[i + 1] - values[i])
+
+        begin, end = np.array(motion.bases[i]), np.array(motion.bases[i + 1])
+        base = begin + share * np.append(end[:2] - begin[:2], wrap_angle(end[2] - begin[2]))
+        moved = {name: between(values) for name, values in motion.joints.items()}
+        object_q = {self.joint: between(motion.part)} if self.joint and motion.part else {}
+        object_q |= {name: between(values) for name, values in motion.latch.items()}
+        near = i + round(share)
+        return Moment(
+            base, {**home_values(self.robot), **moved}, object_q, motion.stages[near],
+            np.array(motion.forces[near]) if motion.forces else None,
+            pose_wxyz(motion.poses[near][:3], motion.poses[near][3:]) if motion.poses else None,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TourStory:
+    """The motions of several plans, each in its own room."""
+
+    stories: tuple[Story, ...]
+    scenes: tuple[Scene, ...]
+    """The room before each task."""
+
+    @classmethod
+    def of(cls, plans: Sequence[PlacementPlan], scenes: Sequence[Scene], robot: Robot) -> TourStory:
+        """Build the motion of solved plans.
+
+        Args:
+            plans: The plans, in order.
+            scenes: The room of each plan.
+            robot: The robot of all plans.
+
+        Raises:
+            InputError: A plan is for another robot, or there is no motion to show.
+        """
+        for number, plan in enumerate(plans, start=1):
+            if (plan.robot_urdf, plan.joints) != (plans[0].robot_urdf, plans[0].joints):
+                raise InputError(f"plan {number} of the tour is for another robot than the first")
+        stories = [Story.of(p, robot, scene) for p, scene in zip(plans, scenes, strict=True)]
+        return cls(tuple(stories), tuple(scenes))
+
+    @cached_property
+    def _ends(self) -> Float[np.ndarray, " k"]:
+        """End of each task [s]."""
+        return np.cumsum([story.duration for story in self.stories])
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self._ends[-1])
+
+    def at(self, seconds: float) -> Moment:
+        """Return the moment at a time [s], clipped to the duration."""
+        last = len(self.stories) - 1
+        k = min(int(np.searchsorted(self._ends, seconds, side="right")), last)
+        story, began = self.stories[k], float(self._ends[k]) - self.stories[k].duration
+        moment, task = story.at(seconds - began), story.task
+        phase = f"task {k + 1} of {last + 1}, {task.verb} {task.object}: {moment.phase}"
+        room = ActiveRoom(self.scenes[k], task.object, task.joint)
+        return replace(moment, phase=phase, room=room)
 
 
 @dataclass(frozen=True)

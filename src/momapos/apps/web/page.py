@@ -7,40 +7,113 @@ the files have threads of their own. In each thread the newest request replaces 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from momapos.core import Cache, Clock
 from momapos.model.scene import Scene, load_scene
 from momapos.workflows.scene_check import check_scene
 
-from .answer_layers import AnswerLayers
-from .answer_view import READY, AnswerView
-from .browsers import Browsers
-from .cameras import frame, look_at
+from .answer_view import READY, AnswerLayers, AnswerView
+from .cameras import Light, frame, look_at
 from .card import WORKING, Card
 from .compare import Compare
 from .extras import FileActions
 from .follow import DragFollower
-from .how_far import how_far
-from .light import Light
 from .motion_view import MotionView
-from .moving import DetailControl
 from .opened import Opened, OpenedScan
-from .panel import Panel
+from .panel import Panel, Resender, how_far
+from .playback import DetailControl
 from .question import Question, RobotArms, RobotLoader, ask, ask_at, targets
 from .robot_view import RobotView
 from .room_view import RoomView
 from .scan_view import COARSE, FINE, ScanView
-from .settled import Resender
-from .stage_card import StageCard
 from .state import Choice, PageState
 from .words import answer_card
 from .work import LatestWorker
 
 if TYPE_CHECKING:
     from viser import ViserServer
+
+
+GRACE_PERIOD = 5.0
+"""Time after the last browser disconnects until work stops; a reload takes less [s]."""
+
+
+class Browsers:
+    """Counts the connected browsers, and reports when none is left."""
+
+    def __init__(self, server: ViserServer, on_empty: Callable[[], None]) -> None:
+        """Start to count.
+
+        Args:
+            server: The server of the page.
+            on_empty: Called after the grace period without any browser.
+        """
+        self._on_empty = on_empty
+        self._lock = threading.Lock()
+        self._connected: set[int] = set()
+        self._timer: threading.Timer | None = None
+        server.on_client_connect(self._add)
+        server.on_client_disconnect(self._remove)
+
+    def close(self) -> None:
+        """Cancel the timer."""
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+
+    def _add(self, client: Any) -> None:
+        with self._lock:
+            self._connected.add(client.client_id)
+
+    def _remove(self, client: Any) -> None:
+        with self._lock:
+            self._connected.discard(client.client_id)
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = threading.Timer(GRACE_PERIOD, self._report)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def _report(self) -> None:
+        with self._lock:
+            empty = not self._connected
+        if empty:
+            self._on_empty()
+
+
+INTERVAL = 0.1
+"""Time between updates; a search changes its stage 1,000 times a second [s]."""
+
+
+class StageCard:
+    """Shows which stage runs, and how long the others have taken."""
+
+    def __init__(self, show: Callable[[Card], None], clock: Clock) -> None:
+        """Show that a search begins.
+
+        Args:
+            show: Shows a card.
+            clock: Returns the time [s].
+        """
+        self._show, self._clock = show, clock
+        self._spent: dict[str, float] = {}
+        self._stage, self._began, self._shown = "", clock(), 0.0
+        show(Card("Searching", progress=WORKING))
+
+    def begin(self, stage: str) -> None:
+        """Note that a stage begins, which ends the one before."""
+        now = self._clock()
+        if self._stage:
+            self._spent[self._stage] = self._spent.get(self._stage, 0.0) + now - self._began
+        self._stage, self._began = stage, now
+        if now - self._shown > INTERVAL:
+            self._shown = now
+            stages = tuple(self._spent.items())
+            self._show(Card(f"Searching: {stage}", progress=WORKING, stages=stages))
 
 
 class Page:

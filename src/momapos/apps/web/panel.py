@@ -1,24 +1,268 @@
-"""The controls of the page. They hold no state except what a user has set."""
+"""The controls of the page. They hold no state except what a user has set.
+
+viser sends a change to all browsers except the one that made it. If two browsers change one control
+at the same time, the later one receives the earlier change after its own, and would keep showing
+it. viser has no function that sends a value the server has already.
+"""
 
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
-from momapos.core import escape_markdown
+from viser import _messages as messages
+
+from momapos.core import TaskError, escape_markdown, parse_quantity
+from momapos.model.scene import Scene
+from momapos.planning.grasps import make_task
 from momapos.simulation import GIF, MP4
 
 from .card import CardView
-from .guide import Guide
-from .how_far import HowFar
-from .joint_ranges import SLIDER_RESOLUTION, SLIDER_STEP, JointRange
 from .playback import SPEEDS
 from .question import METHODS, VERBS
-from .settled import Resender
 
 if TYPE_CHECKING:
     from viser import GuiApi
+
+
+Step: TypeAlias = Literal["choose", "place", "play", "drag", "why"]
+WORDS: dict[Step, tuple[str, str]] = {
+    "choose": ("Choose", "Choose a task and an object, or click an object in the room."),
+    "place": ("Place", "Press Place: where must the robot stand?"),
+    "play": ("Play", "Press Play: how does it move?"),
+    "drag": ("Drag", "Drag the base by its arrows: does another place work, too?"),
+    "why": ("Why not", "Drag it until the footprint turns red, and read why."),
+}
+"""The name and the instruction of each step."""
+
+
+class Guide:
+    """Shows the next step, and disappears after the last one."""
+
+    def __init__(self, gui: Any) -> None:
+        """Show the first step.
+
+        Args:
+            gui: Where to draw.
+        """
+        self._handle = gui.add_html(guide_html(set()))
+        self._done: set[Step] = set()
+
+    def done(self, *steps: Step) -> None:
+        """Tick steps."""
+        if self._done.issuperset(steps):
+            return
+        self._done |= set(steps)
+        self._handle.content = guide_html(self._done)
+        self._handle.visible = len(self._done) < len(WORDS)
+
+
+def guide_html(done: set[Step]) -> str:
+    """Return the steps as HTML, with the instruction of the first one that is not done."""
+    steps = get_args(Step)
+    current = next((step for step in steps if step not in done), None)
+    marks = " ".join(
+        f'<span style="white-space:nowrap;opacity:{1.0 if step == current else 0.6};'
+        f'font-weight:{700 if step == current else 400}">'
+        f"{'✓' if step in done else f'{k}.'} {WORDS[step][0]}</span>"
+        for k, step in enumerate(steps, start=1)
+    )
+    words = "" if current is None else WORDS[current][1]
+    return (
+        '<div style="margin:.1em .75em .5em;font-size:.84em;line-height:1.5">'
+        f'<div style="display:flex;flex-wrap:wrap;gap:0 .9em">{marks}</div>'
+        f'<div style="color:var(--mantine-color-dimmed)">{words}</div></div>'
+    )
+
+
+UNLIMITED = {"revolute": math.pi, "continuous": math.pi, "prismatic": 1.0}
+"""Joints without limits get sliders from minus to plus this [rad] or [m]."""
+STEPS = {"deg": 1.0, "cm": 0.5}
+"""Steps of the slider."""
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """Values that a task may move a part to."""
+
+    unit: str
+    """deg or cm"""
+    low: float
+    high: float
+    usual: float
+    """The value of the verb; all in the unit."""
+
+    @property
+    def step(self) -> float:
+        """Step of the slider; a twentieth of the range where that is less."""
+        return min(STEPS[self.unit], (self.high - self.low) / 20)
+
+    def clipped(self, value: float) -> float:
+        """Return the nearest value of the slider."""
+        return min(max(round(value, 2), self.low), self.high)
+
+    def text(self, value: float) -> str:
+        """Return a value as a user of the command line types it; "" for the usual one."""
+        return "" if abs(value - self.usual) < self.step / 2 else f"{value:g}{self.unit}"
+
+    def value(self, text: str) -> float:
+        """Return the slider's value for a text.
+
+        Raises:
+            TaskError: The text is no quantity.
+        """
+        if not text or text == "max":
+            return self.usual
+        quantity = parse_quantity(text).value
+        return self.clipped(math.degrees(quantity) if self.unit == "deg" else 100 * quantity)
+
+
+def how_far(scene: Scene, verb: str, target: str) -> HowFar | None:
+    """Return the values for a part; None where the task moves a whole object.
+
+    Args:
+        scene: The room.
+        verb: The verb of the task.
+        target: The object and joint as "object/joint".
+    """
+    name, _, joint_name = target.partition("/")
+    if verb not in ("open", "close") or not joint_name:
+        return None
+    item = scene.object(name)
+    joint = item.joint(joint_name)
+    if joint.mimic is not None:  # a task moves the leader
+        joint = item.joint(joint.mimic.joint)
+    unit, factor = ("cm", 100.0) if joint.kind == "prismatic" else ("deg", math.degrees(1.0))
+    most = UNLIMITED[joint.kind]
+    low = math.ceil(10 * factor * max(joint.lower, -most) - 1e-6) / 10
+    high = math.floor(10 * factor * min(joint.upper, most) + 1e-6) / 10
+    if high - low < 1e-3:
+        return None
+    try:
+        goal = make_task(scene, verb, name, joint_name).to
+    except TaskError:  # the part is there already; the answer says so
+        goal = item.values()[joint.name]
+    usual = min(max(round(factor * (goal or 0.0), 2), low), high)
+    return HowFar(unit, low, high, usual)
+
+
+SLIDER_RESOLUTION = 1e-4
+"""Joint values that differ by less are equal: sliders have no more digits [rad] or [m]."""
+SLIDER_STEP = {"deg": 1.0, "m": 0.01}
+"""Largest step of a slider; it is a twentieth of the range where that is less."""
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """A joint of the object with a slider."""
+
+    name: str
+    low: float
+    high: float
+    """[rad] or [m]"""
+    value: float
+    turns: bool
+
+    @property
+    def unit(self) -> str:
+        """The unit of the slider."""
+        return "deg" if self.turns else "m"
+
+    def to_slider(self, value: float) -> float:
+        """Convert a joint value to the unit of the slider [deg] or [m]."""
+        return math.degrees(value) if self.turns else value
+
+    def from_slider(self, shown: float) -> float:
+        """Convert a slider value to a joint value within the limits [rad] or [m]."""
+        value = math.radians(shown) if self.turns else shown
+        return min(max(value, self.low), self.high)
+
+
+def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
+    """Return the joints of an object that the user may move; none where there is no such object."""
+    found = []
+    for item in (one for one in scene.objects if one.name == name):
+        values = item.values()
+        for joint in item.model.joints.values():
+            limit = UNLIMITED[joint.kind]
+            low, high = max(joint.lower, -limit), min(joint.upper, limit)
+            if joint.mimic is None and high - low > 1e-6:
+                value = min(max(values[joint.name], low), high)
+                turns = joint.kind != "prismatic"
+                found.append(JointRange(joint.name, low, high, value, turns))
+    return tuple(found)
+
+
+WAIT = 1.0
+"""Time after the last change of a control until its value is sent again [s]."""
+
+
+class Resender:
+    """Sends values again, with a timer for each control and node."""
+
+    def __init__(self, *, wait: float = WAIT) -> None:
+        """Set the time to wait after the last change [s]."""
+        self._wait = wait
+        self._lock = threading.Lock()
+        self._timers: dict[str, threading.Timer] = {}
+        self._closed = False
+
+    def control(self, handle: Any) -> None:
+        """Send a control again that a user has changed."""
+        self._soon(handle._impl.uuid, partial(send_value, handle))
+
+    def node(self, node: Any) -> None:
+        """Send a node again that a user has dragged."""
+        self._soon(node.name, partial(send_pose, node))
+
+    def close(self) -> None:
+        """Cancel all timers."""
+        with self._lock:
+            self._closed = True
+            for timer in self._timers.values():
+                timer.cancel()
+
+    def _soon(self, key: str, send: Callable[[], None]) -> None:
+        with self._lock:
+            if self._closed:
+                return
+            before = self._timers.pop(key, None)
+            if before is not None:
+                before.cancel()
+            timer = self._timers[key] = threading.Timer(self._wait, self._now, (key, send))
+            timer.daemon = True
+            timer.start()
+
+    def _now(self, key: str, send: Callable[[], None]) -> None:
+        with self._lock:
+            if self._closed or self._timers.get(key) is not threading.current_thread():
+                return  # it has changed again
+            del self._timers[key]
+        send()
+
+
+def send_value(handle: Any) -> None:
+    """Send the value of a control to all browsers, unless it was removed."""
+    own = handle._impl
+    if not own.removed:
+        own.gui_api._websock_interface.queue_message(
+            messages.GuiUpdateMessage(own.uuid, {"value": own.value})
+        )
+
+
+def send_pose(node: Any) -> None:
+    """Send the pose of a node to all browsers, unless it was removed."""
+    own = node._impl
+    if not own.removed:
+        x, y, z = (float(v) for v in own.position)
+        a, b, c, d = (float(v) for v in own.wxyz)
+        own.api._queue_scene_message(messages.SetPositionMessage(own.name, (x, y, z)))
+        own.api._queue_scene_message(messages.SetOrientationMessage(own.name, (a, b, c, d)))
+
 
 LAYERS = {
     "importance": "Importance, scene graph", "reach": "Arm reachability", "free": "Free area",

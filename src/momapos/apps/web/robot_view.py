@@ -12,9 +12,8 @@ from momapos.apps.plots import sphere_centers
 from momapos.core.geometry import invert, pose_planar, triangulated
 from momapos.model.robots import Robot
 
-from .bodies import joined, link_surfaces
 from .colors import FORCE, SPHERES, VERDICTS, rgb
-from .room_view import place
+from .room_view import joined, link_surfaces, place
 
 if TYPE_CHECKING:
     from jaxtyping import Float

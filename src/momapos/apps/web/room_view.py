@@ -1,26 +1,355 @@
-"""Drawing the room: floor, walls that hide nothing, furniture whose doors move."""
+"""Drawing the room: floor, walls that hide nothing, furniture whose doors move.
+
+A browser draws node by node, each with a shadow. A thousand nodes of a few triangles take far
+longer than a few nodes of thousands of triangles without shadows. In return, objects are not
+highlighted under the mouse.
+
+Materials are pale and have no meaning; strong colors do, see `colors`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from viser.transforms import SO3
 
 from momapos.apps import plots
-from momapos.core.geometry import invert, triangulated
+from momapos.core import UrdfError, owner_cache
+from momapos.core.geometry import apply, invert, triangulated
 from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import Articulated, Geometry, Hull, mesh_triangles
 
 from . import colors
-from .bodies import Surface, facing, joined, link_surfaces, world_surface
 from .colors import Color, rgb
-from .crowd import ColoredSurface, ObjectBatches
-from .looks import HANDLE, LIGHT, Look, material
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Float32, Int, UInt8, UInt32
     from viser import SceneApi
+
+
+MAX_LINK_TRIANGLES = 60_000
+"""A shape with more triangles is drawn as its convex hull [-]."""
+HANDLE_WORD = "handle"
+"""Shapes and links with this in their names get another color."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles that are visible from their counterclockwise side."""
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+
+    def moved(self, T: Float[np.ndarray, "4 4"]) -> Surface:
+        """Transform the surface."""
+        return Surface(apply(T, self.vertices), self.faces)
+
+    @property
+    def arrays(self) -> tuple[Float32[np.ndarray, "v 3"], UInt32[np.ndarray, "f 3"]]:
+        """Vertices and faces in the types that viser sends."""
+        return self.vertices.astype(np.float32), self.faces.astype(np.uint32)
+
+
+@dataclass(frozen=True)
+class LinkSurfaces:
+    """The surfaces of one link."""
+
+    link: str
+    body: Surface
+    handle: Surface
+    """Shapes with "handle" in their names; no triangles where there is none."""
+
+
+def joined(surfaces: Iterable[Surface]) -> Surface:
+    """Join surfaces into one."""
+    parts = [one for one in surfaces if len(one.faces)]
+    if not parts:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    first = np.cumsum([0, *(len(one.vertices) for one in parts[:-1])])
+    faces = [one.faces + k for one, k in zip(parts, first.tolist(), strict=True)]
+    return Surface(np.concatenate([one.vertices for one in parts]), np.concatenate(faces))
+
+
+def _hull_surface(hull: Hull) -> Surface:
+    return Surface(hull.vertices, hull.faces)
+
+
+@owner_cache()
+def link_surfaces(model: Articulated, *, collision: bool = False) -> tuple[LinkSurfaces, ...]:
+    """Return the surfaces of a model's links, without links that have no shapes.
+
+    Args:
+        model: The model.
+        collision: Whether to use the collision hulls even where there are visuals.
+    """
+    found = []
+    for name, link in model.urdf.links.items():
+        if collision or not link.visuals:
+            pairs = [(hull.name or name, _hull_surface(hull)) for hull in model.hulls[name]]
+        else:
+            pairs = [(shape.name or name, _surface(model, name, shape)) for shape in link.visuals]
+        body = joined(surface for word, surface in pairs if not _is_handle(name, word))
+        handle = joined(surface for word, surface in pairs if _is_handle(name, word))
+        if len(body.faces) or len(handle.faces):
+            found.append(LinkSurfaces(name, body, handle))
+    return tuple(found)
+
+
+def _is_handle(link: str, shape: str) -> bool:
+    return HANDLE_WORD in link.lower() or HANDLE_WORD in shape.lower()
+
+
+def _surface(model: Articulated, link: str, shape: Geometry) -> Surface:
+    """Return the surface of a shape: the triangles of a mesh if they are readable, else a hull."""
+    if shape.kind == "mesh" and shape.mesh is not None:
+        try:
+            triangles = mesh_triangles(shape.mesh) * np.array(shape.size)
+        except UrdfError:  # a mesh without readable faces still has a hull
+            triangles = np.zeros((0, 3, 3))
+        if 0 < len(triangles) <= MAX_LINK_TRIANGLES:
+            if np.prod(shape.size) < 0:  # mirrored: inside out
+                triangles = triangles[:, ::-1]
+            return _merged(apply(shape.T_link_geometry, triangles.reshape(-1, 3)))
+    return _hull_surface(model.hull(link, shape))
+
+
+def _merged(corners: Float[np.ndarray, "c 3"]) -> Surface:
+    """Build a surface from three corners per triangle, and merge equal ones.
+
+    A browser then gets about a tenth of the vertices; shading is flat anyway.
+    """
+    points, at = np.unique(corners, axis=0, return_inverse=True)
+    return Surface(points, at.reshape(-1, 3))
+
+
+def world_surface(
+    item: SceneObject, part: Callable[[LinkSurfaces], Surface], *, collision: bool = False
+) -> Surface:
+    """Return the bodies or the handles of all links of an object, in the world.
+
+    Args:
+        item: The object.
+        part: Selects the body or the handle of a link.
+        collision: As for `link_surfaces`.
+    """
+    poses = item.link_poses()
+    links = link_surfaces(item.model, collision=collision)
+    return joined(part(link).moved(poses[link.link]) for link in links)
+
+
+def facing(surface: Surface, point: Float[np.ndarray, "3"]) -> Surface:
+    """Select the triangles whose front faces a point.
+
+    Walls drawn this way hide nothing of the room from outside.
+    """
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    front = np.einsum("fk,fk->f", np.cross(b - a, c - a), point - a) > 0
+    return Surface(surface.vertices, surface.faces[front])
+
+
+MAX_MERGED = 1000
+"""Triangles of a node, unless one object has more; a change sends all of its node again [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColoredSurface:
+    """The surface of an object in one color, in the world."""
+
+    object: str
+    surface: Surface
+    color: tuple[int, int, int]
+
+    @cached_property
+    def bounds(self) -> Float[np.ndarray, "2 3"]:
+        """Lower and upper corner [m]."""
+        return np.stack([self.surface.vertices.min(0), self.surface.vertices.max(0)])
+
+
+class ObjectBatches:
+    """Draws objects in few nodes, and sends only the nodes that change."""
+
+    def __init__(
+        self, api: SceneApi, name: str, picked: Callable[[str], None] | None = None
+    ) -> None:
+        """Draw nothing yet.
+
+        Args:
+            api: Where to draw.
+            name: Prefix of the nodes' names.
+            picked: Called with the object that a user clicks.
+        """
+        self._api, self._name, self._picked = api, name, picked
+        self._parts: tuple[ColoredSurface, ...] = ()
+        self._left_out = ""
+        self._drawn: list[tuple[list[ColoredSurface], Any]] = []
+        """The surfaces of each node, and the node; None where none of them is drawn."""
+        self._listens = False
+
+    @property
+    def nodes(self) -> tuple[Any, ...]:
+        """The nodes that are drawn."""
+        return tuple(node for _, node in self._drawn if node is not None)
+
+    def show(self, parts: Sequence[ColoredSurface], left_out: str = "") -> None:
+        """Draw surfaces in place of the last ones.
+
+        Args:
+            parts: The surfaces.
+            left_out: An object that is drawn elsewhere; "" for none.
+        """
+        self._parts, self._left_out = tuple(parts), left_out
+        batches = batched(parts)
+        for _, node in self._drawn[len(batches) :]:
+            if node is not None:
+                node.remove()
+        self._drawn = self._drawn[: len(batches)]
+        for k, batch in enumerate(batches):
+            wanted = [part for part in batch if part.object != left_out]
+            if k == len(self._drawn):
+                self._drawn.append((wanted, self._draw(k, wanted)))
+            elif self._drawn[k][0] != wanted:
+                if self._drawn[k][1] is not None:
+                    self._drawn[k][1].remove()
+                self._drawn[k] = wanted, self._draw(k, wanted)
+        self._listen(bool(parts) and self._picked is not None)
+
+    def _draw(self, k: int, parts: Sequence[ColoredSurface]) -> Any:
+        if not parts:
+            return None
+        surface = joined(part.surface for part in parts)
+        return self._api.add_mesh_simple(
+            f"{self._name}{k}", *surface.arrays, color=parts[0].color, flat_shading=True,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _listen(self, wanted: bool) -> None:
+        if wanted and not self._listens:
+            self._api.on_click()(self._clicked)
+        elif self._listens and not wanted:
+            self._api.remove_click_callback(self._clicked)
+        self._listens = wanted
+
+    def _clicked(self, event: Any) -> None:
+        name = object_hit(self._parts, np.array(event.ray_origin), np.array(event.ray_direction))
+        if self._picked is not None and name not in ("", self._left_out):
+            self._picked(name)
+
+
+def batched(parts: Sequence[ColoredSurface]) -> list[list[ColoredSurface]]:
+    """Group surfaces of one color, in their order, as many as one node may hold."""
+    batches: list[list[ColoredSurface]] = []
+    for color in dict.fromkeys(part.color for part in parts):
+        left = 0
+        for part in (one for one in parts if one.color == color):
+            count = len(part.surface.faces)
+            if count > left:
+                batches.append([])
+                left = MAX_MERGED
+            batches[-1].append(part)
+            left -= count
+    return batches
+
+
+def object_hit(
+    parts: Sequence[ColoredSurface],
+    origin: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+) -> str:
+    """Return the first object that a ray hits; "" where it hits none.
+
+    Args:
+        parts: The surfaces.
+        origin: Origin of the ray [m].
+        direction: Direction of the ray.
+    """
+    if not parts:
+        return ""
+    bounds = np.stack([part.bounds for part in parts])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossed = np.sort((bounds - origin) / direction, axis=1)  # NaN along a face
+    enters, leaves = np.nanmax(crossed[:, 0], axis=1), np.nanmin(crossed[:, 1], axis=1)
+    near = np.flatnonzero((enters <= leaves) & (leaves >= 0.0)).tolist()
+    distances = [_distance(parts[k].surface, origin, direction) for k in near]
+    if not distances or min(distances) == np.inf:
+        return ""
+    return parts[near[int(np.argmin(distances))]].object
+
+
+def _distance(
+    surface: Surface, origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+) -> float:
+    """Intersect a ray with the front of a surface: distance in lengths of its direction, or inf.
+
+    By Moeller and Trumbore: Fast, minimum storage ray-triangle intersection, 1997.
+    """
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    across = np.cross(direction, c - a)
+    volume = np.einsum("fk,fk->f", b - a, across)
+    front = volume > 1e-12
+    from_a = (origin - a)[front]
+    u = np.einsum("fk,fk->f", from_a, across[front]) / volume[front]
+    turned = np.cross(from_a, (b - a)[front])
+    v = turned @ direction / volume[front]
+    t = np.einsum("fk,fk->f", turned, (c - a)[front]) / volume[front]
+    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
+    return float(t[hit].min(initial=np.inf))
+
+
+WOOD, METAL, PAINT, HANDLE = "#c8ae8e", "#c3cad1", "#e6e8ea", "#59626b"
+SMALL_OBJECT = "#b99f7d"
+MATERIALS = {
+    WOOD: ("table", "chair", "counter", "desk", "shelf", "bench", "stool", "worktop", "bookcase"),
+    METAL: ("fridge", "oven", "microwave", "dishwasher", "hood", "stove", "sink", "washer",
+            "refrigerator", "cooktop", "toaster", "kettle"),
+}  # fmt: skip
+"""Words in the category of an object; any other is painted."""
+SMALL_VOLUME = 0.02
+"""Objects with a smaller bounding box are drawn like cups and fruit [m^3]."""
+SKY_ROWS = 128
+"""Height of the image of the sky [px]."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colors that depend on whether the page is dark."""
+
+    zenith: str
+    horizon: str
+    ground: str
+    """The sky from top to bottom."""
+    floor: str
+    wall: str
+    sun: float
+    """Intensity of the light with shadows [-]."""
+    ambient: float
+    """Intensity of the light from all directions [-]."""
+
+
+LIGHT = Look("#bcd4ea", "#f2f6fa", "#e4e8ec", "#d3c7b5", "#f7f6f3", 1.9, 1.5)
+DARK = Look("#0e141b", "#26323f", "#151b21", "#6a645c", "#59636e", 1.7, 0.9)
+
+
+def sky(look: Look) -> UInt8[np.ndarray, "rows 2 3"]:
+    """Return an image of the sky, whose horizon is in its middle."""
+    stops = np.array([rgb(c) for c in (look.zenith, look.horizon, look.ground)], float)
+    height = np.linspace(0.0, 1.0, SKY_ROWS)
+    channels = [np.interp(height, [0.0, 0.55, 1.0], stops[:, k]) for k in range(3)]
+    return np.repeat(np.stack(channels, -1)[:, None], 2, axis=1).round().astype(np.uint8)
+
+
+def material(item: SceneObject) -> str:
+    """Return the color of an object that has no part in the task."""
+    if np.prod(np.ptp(item.bounds, axis=0)) < SMALL_VOLUME:
+        return SMALL_OBJECT
+    words = item.category.lower()
+    return next(
+        (color for color, kinds in MATERIALS.items() if any(kind in words for kind in kinds)), PAINT
+    )
+
 
 ROOT = "/room"
 _FLOOR = " floor"

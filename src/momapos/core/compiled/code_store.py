@@ -40,7 +40,7 @@ PACK_FEATURES = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", 
 """Processor features that the code of a pack needs."""
 _NUMBA_SETTINGS = ("NUMBA_CPU_", "NUMBA_OPT", "NUMBA_LOOP_", "NUMBA_SLP_", "NUMBA_BOUNDS")
 Progress = Callable[[int, int], None]
-_COMPILER = ("borrowing.py", "compiler.py", "lane_types.py")
+_COMPILER = ("compiler.py",)
 
 
 def compiler_version() -> list[str]:

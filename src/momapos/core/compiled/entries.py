@@ -8,7 +8,7 @@ from typing import Any
 
 from momapos.core.stopwatch import look
 
-from . import arrays
+from . import kernel_source
 from .kernel_source import KernelSource, Options
 
 ENTRIES: dict[str, Kernel] = {}
@@ -53,8 +53,8 @@ class Kernel(KernelSource):
         return self._native
 
     @cached_property
-    def _checks(self) -> list[arrays.Fits]:
-        return [arrays.checker(hint) for hint in self.types]
+    def _checks(self) -> list[kernel_source.Fits]:
+        return [kernel_source.checker(hint) for hint in self.types]
 
     @cached_property
     def dispatcher(self) -> Any:

@@ -1,7 +1,7 @@
 """Eight numbers at once: vectors of single precision that kernels keep in one register.
 
 These functions define what kernels compute, with NumPy arrays of shape (8,). In compiled code they
-are single instructions of the processor, see `lane_types`. Sums, differences and products of
+are single instructions of the processor, see `compiler`. Sums, differences and products of
 vectors are written with operators.
 """
 

@@ -1,10 +1,14 @@
-"""Polygons on the floor."""
+"""Polygons and upright boxes on the floor, and convex hulls of points on it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from momapos.core.compiled import F2, entry
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -157,3 +161,102 @@ def _inside(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> 
     for p, q in ((a, b), (b, c), (c, a)):
         inside &= np.asarray(_turn(p, q, points)) >= 0
     return inside
+
+
+def convex_hull(points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "k 2"]:
+    """Return the corners of the convex hull, counterclockwise from the smallest x.
+
+    A corner that protrudes by less than 0.1 nm is omitted.
+
+    Args:
+        points: At least three points. On one line they have no area, and two corners remain.
+    """
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    return _chain(np.ascontiguousarray(points[order], float))
+
+
+@entry
+def _chain(points: F2) -> np.ndarray:
+    """Return the corners of the hull of points that are sorted by x, then y."""
+    n = len(points)
+    kept = np.empty((2 * n + 1, 2))
+    count = 0
+    for upper in (False, True):
+        least = count + 1
+        for k in range(n):
+            c = points[n - 1 - k if upper else k]
+            while count > least:
+                a, b = kept[count - 2], kept[count - 1]
+                abx, aby, acx, acy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+                if abx * acy - aby * acx > 1e-10 * np.hypot(acx, acy):
+                    break
+                count -= 1
+            kept[count, 0], kept[count, 1] = c[0], c[1]
+            count += 1
+        count -= 1  # the last corner is the first of the next chain
+    return kept[:count].copy()
+
+
+@dataclass(frozen=True, eq=False)
+class UprightBox:
+    """A box with vertical edges."""
+
+    center: Float[np.ndarray, "3"]
+    size: Float[np.ndarray, "3"]
+    """Edge lengths along its own x, y, z [m]."""
+    yaw: float = 0.0
+    """Angle of its x axis about the world's z [rad]."""
+
+
+def box_axes(yaw: float) -> Float[np.ndarray, "2 2"]:
+    """Return the x and y axes of a box in the world, as rows."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, s], [-s, c]])
+
+
+def to_local(points: Float[np.ndarray, "n 3"], box: UprightBox) -> Float[np.ndarray, "n 3"]:
+    """Map world points to the frame at a box's center, along its edges."""
+    return along_edges(points - box.center, box.yaw)
+
+
+def along_edges(vectors: Float[np.ndarray, "n 3"], yaw: float) -> Float[np.ndarray, "n 3"]:
+    """Map world vectors to axes turned by yaw [rad]."""
+    turned = np.array(vectors, float)
+    turned[:, :2] = turned[:, :2] @ box_axes(yaw).T
+    return turned
+
+
+def between(
+    points: Float[np.ndarray, "n 3"],
+    low: Float[np.ndarray, "3"] | Sequence[float],
+    high: Float[np.ndarray, "3"] | Sequence[float],
+) -> Bool[np.ndarray, " n"]:
+    """Return which points lie between two corners; per coordinate, which is faster."""
+    x, y, z = points.T
+    inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+    return np.asarray(inside & (z > low[2]) & (z < high[2]))
+
+
+def corners(box: UprightBox) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return the low and high corner, in the box's axes about the world's origin."""
+    center = along_edges(np.asarray(box.center)[None], box.yaw)[0]
+    return center - box.size / 2, center + box.size / 2
+
+
+def from_corners(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], yaw: float = 0.0
+) -> UprightBox:
+    """Return the box between two corners, in axes turned by yaw [rad] about the world's origin."""
+    center = (low + high) / 2
+    center[:2] = center[:2] @ box_axes(yaw)
+    return UprightBox(center, high - low, yaw)
+
+
+def bottom(box: UprightBox) -> float:
+    """Return the height of a box's bottom [m]."""
+    return float(box.center[2] - box.size[2] / 2)
+
+
+def top(box: UprightBox) -> float:
+    """Return the height of a box's top [m]."""
+    return float(box.center[2] + box.size[2] / 2)

@@ -24,8 +24,8 @@ from .collision_world import build_world as build_world
 from .collision_world import check as check
 from .collision_world import check_one as check_one
 from .collision_world import collision_arrays as collision_arrays
-from .hull_overlap import moved as moved
 from .link_hulls import LinkHulls as LinkHulls
+from .link_hulls import moved as moved
 from .self_collision import arm_spheres as arm_spheres
 from .self_collision import choose_exact_pairs as choose_exact_pairs
 from .self_collision import contacts as contacts

@@ -39,7 +39,7 @@ from .arm_collision import (
     place_arm,
     scratch_of,
 )
-from .hull_overlap import moved
+from .link_hulls import moved
 from .spheres import Spheres
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from momapos.model.kinematics import (
 from momapos.model.urdf import Articulated
 
 from .arm_collision import APART, MEET, meeting, meeting_base, place_arm, scratch_of
-from .hull_overlap import hulls_overlap
+from .link_hulls import hulls_overlap
 from .spheres import Spheres, build_spheres
 
 if TYPE_CHECKING:

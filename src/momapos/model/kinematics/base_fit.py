@@ -14,12 +14,19 @@ import numpy as np
 from momapos.core.compiled import B1, F2, F3, entry, kernel
 from momapos.core.geometry import rotation, wrap_angle
 
-from .chain import Chain, forward, stand_at_origin
-from .ik import arm_arrays, ik_scratch, nearest_seeds
-from .ik_model import SEED_LENGTH, IkModel, pose_features
-from .kernel_records import ArmArrays
-from .newton_steps import jacobian, rotation_error, solve_spd
-from .subproblems import mul
+from .chain import ArmArrays, Chain, forward, stand_at_origin
+from .closed_forms import mul
+from .ik import (
+    SEED_LENGTH,
+    IkModel,
+    arm_arrays,
+    ik_scratch,
+    jacobian,
+    nearest_seeds,
+    pose_features,
+    rotation_error,
+    solve_spd,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float

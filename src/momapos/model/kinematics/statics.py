@@ -9,8 +9,7 @@ import numpy as np
 from momapos.core import GRAVITY
 from momapos.core.compiled import F1, F2, F3, entry, kernel
 
-from .chain import forward, stand_at_origin
-from .kernel_records import ChainArrays
+from .chain import ChainArrays, forward, stand_at_origin
 
 TIPPING_SCALE = 10.0
 """Excess of a base per meter of tipping: a centimeter counts as a tenth of an effort limit."""

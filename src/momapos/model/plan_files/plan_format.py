@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from momapos.core import (
     FileFormatError,
@@ -19,12 +22,17 @@ from momapos.core import (
     read_bytes_bounded,
     read_text_bounded,
     resolved,
+    write_atomic,
 )
 from momapos.model.records import (
     Assumption,
     BaseRegion,
+    Candidates,
     CostTerm,
+    Hold,
     KeyObjects,
+    Motion,
+    NearestMiss,
     Outline,
     Overrides,
     PlacementPlan,
@@ -35,9 +43,231 @@ from momapos.model.records import (
 from momapos.model.robots import MAX_SRDF_BYTES, portable
 
 from . import plan_members as members
-from .named_files import portable_name, sha256, sha256_of, write_text
-from .plan_candidates import candidates_to_dict, read_candidates
-from .plan_motion import motion_to_dict, read_array, read_motion
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+MAX_UNIT_ERROR = 1e-3
+"""Largest error of the length of a unit vector in a file [-]."""
+
+
+def holds_to_dict(holds: tuple[Hold, ...]) -> dict[str, Any]:
+    """Return the members of a plan file that describe holds; none if there are no holds."""
+    if not holds:
+        return {}
+    return {
+        "holds": [[hold.first, hold.last] for hold in holds],
+        "turn_axes": [hold.turn_axis for hold in holds],
+        "families": [hold.family for hold in holds],
+        "hold_words": [hold.words for hold in holds],
+    }
+
+
+def read_holds(motion: members.Manipulation, path: Path) -> tuple[Hold, ...]:
+    """Check and return the holds: ordered state ranges, with unit axes or none."""
+    axes = motion.turn_axes or [None] * len(motion.holds)
+    bounds = [-1, *(state for hold in motion.holds for state in hold), len(motion.q)]
+    in_order = all(a < b for a, b in zip(bounds[:-1:2], bounds[1::2], strict=True)) and all(
+        first <= last for first, last in motion.holds
+    )
+    if not in_order:
+        raise FileFormatError(
+            f"{path}: manipulation.holds must be ordered, disjoint [first, last] of states 0 to "
+            f"{len(motion.q) - 1}"
+        )
+    if len(axes) != len(motion.holds) or not all(
+        axis is None or abs(math.hypot(*axis) - 1.0) < MAX_UNIT_ERROR for axis in axes
+    ):
+        raise FileFormatError(
+            f"{path}: manipulation.turn_axes must be a unit vector or null for each of "
+            f"{len(motion.holds)} holds"
+        )
+    families = motion.families or [""] * len(motion.holds)
+    if len(families) != len(motion.holds) or any(len(name) > 40 for name in families):
+        raise FileFormatError(f"{path}: manipulation.families must be a word for each hold")
+    words = motion.hold_words or [""] * len(motion.holds)
+    if len(words) != len(motion.holds) or any(len(text) > 400 for text in words):
+        raise FileFormatError(f"{path}: manipulation.hold_words must be a line for each hold")
+    holds = zip(motion.holds, axes, families, words, strict=True)
+    return tuple(Hold(*hold, axis, family, text) for hold, axis, family, text in holds)
+
+
+def motion_to_dict(motion: Motion | None) -> dict[str, Any]:
+    """Return the members of a plan file that describe the arm's motion."""
+    if motion is None:
+        return {"approach": [], "approach_times": None, "manipulation": None, "home": None}
+    return {
+        "approach": motion.approach.tolist(),
+        "approach_times": _list(motion.approach_times),
+        "manipulation": {
+            "q": motion.q.tolist(),
+            "object_q": motion.object_q.tolist(),
+            **({} if motion.base is None else {"base": motion.base.tolist()}),
+            **({} if motion.latch_q is None else {"latch_q": motion.latch_q.tolist()}),
+            "times": _list(motion.times),
+            "T_world_tool": motion.Ts_world_tool.tolist(),
+            **holds_to_dict(motion.holds),
+        },
+        "home": _list(motion.home),
+    }
+
+
+def _list(values: Float[np.ndarray, "..."] | None) -> Any:
+    return None if values is None else values.tolist()
+
+
+def read_motion(data: members.Plan, path: Path) -> Motion | None:
+    """Check and return the arm's motion; None if the plan has none."""
+    motion, n = data.manipulation, len(data.joints)
+    if motion is None:
+        return None
+    approach = read_array(data.approach, (n,), path, "approach")
+    q = read_array(motion.q, (n,), path, "manipulation.q")
+    object_q = read_array(motion.object_q, (), path, "manipulation.object_q")
+    Ts_world_tool = read_array(motion.T_world_tool, (4, 4), path, "manipulation.T_world_tool")
+    latch_q = None
+    if motion.latch_q is not None:
+        latch_q = read_array(motion.latch_q, (), path, "manipulation.latch_q")
+        if len(latch_q) != len(q):
+            raise FileFormatError(f"{path}: manipulation.latch_q must have {len(q)} values")
+    base = None
+    if motion.base is not None:
+        base = read_array(motion.base, (3,), path, "manipulation.base", "x, y and yaw")
+        base[:, 2] = np.unwrap(base[:, 2])
+        if len(base) != len(q):
+            raise FileFormatError(f"{path}: manipulation.base must have {len(q)} poses")
+    if not len(q) == len(object_q) == len(Ts_world_tool):
+        raise FileFormatError(
+            f"{path}: manipulation has {len(q)} q, {len(object_q)} object_q and "
+            f"{len(Ts_world_tool)} T_world_tool; each state needs one of each"
+        )
+    return Motion(
+        approach=approach,
+        q=q,
+        object_q=object_q,
+        Ts_world_tool=Ts_world_tool,
+        approach_times=_times(data.approach_times, len(approach), path, "approach_times"),
+        times=_times(motion.times, len(motion.q), path, "manipulation.times"),
+        holds=read_holds(motion, path),
+        latch_q=latch_q,
+        base=base,
+        home=None if data.home is None else read_array(data.home, (n,), path, "home"),
+    )
+
+
+def _times(
+    times: list[float] | None, count: int, path: Path, key: str
+) -> Float[np.ndarray, " m"] | None:
+    if times is None:
+        return None
+    values = read_array(times, (), path, key)
+    if len(values) != count or (np.diff(values) < 0).any():
+        raise FileFormatError(f"{path}: {key} must be {count} non-decreasing times [s]")
+    return values
+
+
+def read_array(
+    rows: Sequence[Any], shape: tuple[int, ...], path: Path, key: str, each: str = "one per joint"
+) -> Float[np.ndarray, "..."]:
+    """Return rows of numbers as an array.
+
+    Args:
+        rows: The rows.
+        shape: Shape of each row; () for numbers.
+        path: The plan file, for messages.
+        key: Name of the member, for messages.
+        each: What the numbers of a row stand for.
+
+    Raises:
+        FileFormatError: The rows have another shape.
+    """
+    if not rows:
+        return np.empty((0, *shape))
+    size = " x ".join(map(str, shape))
+    try:
+        array = np.array(rows, float)
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {key} has rows of different length; need {size}") from error
+    if array.shape[1:] != shape:
+        found = " x ".join(map(str, array.shape[1:]))
+        raise FileFormatError(
+            f"{path}: {key} has rows of {found} numbers; need {size}"
+            + (f", {each}" if len(shape) == 1 else "")
+        )
+    return array
+
+
+def candidates_to_dict(candidates: Candidates) -> dict[str, Any]:
+    """Return the member of a plan file; the nearest miss only if there is one."""
+    found: dict[str, Any] = {
+        "sampled": candidates.sampled,
+        "checked": candidates.checked,
+        "rejections": dict(candidates.rejections),
+    }
+    if candidates.nearest is not None:
+        pose = dict(zip(("x", "y", "yaw"), candidates.nearest.base_pose, strict=True))
+        found["nearest"] = {"base_pose": pose, "reason": candidates.nearest.reason}
+    return found
+
+
+def read_candidates(data: members.PlanCandidates) -> Candidates:
+    """Return the record of the member of a plan file."""
+    miss = data.nearest
+    nearest = None
+    if miss is not None:
+        pose = miss.base_pose
+        nearest = NearestMiss((pose.x, pose.y, pose.yaw), miss.reason)
+    return Candidates(data.sampled, data.checked, data.rejections, nearest)
+
+
+MAX_HASHED_BYTES = 50_000_000
+MAX_PARENTS = 3
+"""Files in up to this many folders above the plan get relative names [-]."""
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    try:
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal digits."""
+    return sha256_of(read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError))
+
+
+def sha256_of(data: bytes) -> str:
+    """Return the SHA-256 of bytes, in hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def portable_name(name: str, plan: Path, what: str) -> str:
+    """Return a plan's name for a file: relative if the file is near, otherwise absolute.
+
+    Raises:
+        InputError: The file does not exist, so the plan could not be verified.
+    """
+    target, folder = Path(os.path.abspath(name)), resolved(plan).parent
+    if not target.is_file():
+        raise InputError(
+            f"{plan}: {what} {name!r} does not exist; load it from a file, so that the plan can be "
+            "verified"
+        )
+    near = [folder, *list(folder.parents)[:MAX_PARENTS]]
+    shared = [parent for parent in near if parent.parent != parent]
+    if any(target.is_relative_to(parent) for parent in shared):
+        relative = Path(os.path.relpath(target, folder))
+        if (folder / relative).exists() and (folder / relative).samefile(target):
+            return relative.as_posix()
+    return str(target)
+
 
 FORMAT, TOUR = "momapos-plan", "momapos-tour"
 VERSION, MOVING_VERSION = 1, 2

@@ -13,8 +13,7 @@ from momapos.core import FileFormatError, read_bytes_bounded
 from momapos.model.records import PlacementPlan, Status, status_of_all
 
 from . import plan_members as members
-from .named_files import write_text
-from .plan_format import MAX_BYTES, TOUR, format_of, write_plan
+from .plan_format import MAX_BYTES, TOUR, format_of, write_plan, write_text
 
 VERSION = 1
 MAX_STEPS = 20

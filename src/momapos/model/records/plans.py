@@ -1,4 +1,4 @@
-"""Records of a result: motions, attempts and placement plans.
+"""Records of a task and its answer: task, grasps, motions, loads and plan.
 
 All values are in SI units, in the world frame unless a field names another.
 """
@@ -6,21 +6,214 @@ All values are in SI units, in the world frame unless a field names another.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from momapos.core import compare_by_content
+from momapos.core import (
+    InputError,
+    check_fields,
+    compare_by_content,
+    expect,
+    finite_array,
+    finite_number,
+    one_of,
+    shown,
+)
 
-from .loads import MotionLoads
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
-from .resistances import NO_OVERRIDES, JointResistance, Overrides
 from .scans import Hypothesis, PartKind
-from .tasks import ANYWHERE, BaseRegion, Task
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+Verb = Literal["open", "close", "pick", "place"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What must be done; `make_task` makes one.
+
+    Raises:
+        InputError: A field has the wrong type or is not finite.
+    """
+
+    verb: Verb
+    object: str
+    joint: str | None = None
+    """The joint that must move; None for pick and place."""
+    to: float | None = None
+    """The value the joint must reach [rad] or [m]."""
+    farthest: bool = False
+    """Whether `to` is an upper bound, up to which the joint must move as far as possible."""
+    follower: str = ""
+    """The requested joint, if it is a mimic joint that follows `joint`."""
+
+    def __post_init__(self) -> None:
+        one_of("Task.verb", self.verb, get_args(Verb))
+        expect("Task.object", self.object, str)
+        if self.joint is not None:
+            expect("Task.joint", self.joint, str)
+        if self.to is not None:
+            object.__setattr__(self, "to", finite_number("Task.to", self.to))
+
+
+Outline: TypeAlias = tuple[tuple[float, float], ...]
+"""Corners of an area on the floor: x, y [m]."""
+
+
+@dataclass(frozen=True)
+class BaseRegion:
+    """Where the base may stand and drive, in addition to what the room and the arm allow.
+
+    Raises:
+        InputError: An outline is not three or more finite corners, or a bound is negative.
+    """
+
+    keep_in: tuple[Outline, ...] = ()
+    """At the base pose the whole footprint is in one of these; empty for anywhere."""
+    keep_out: tuple[Outline, ...] = ()
+    """The outline of the base, `Robot.base_outline`, touches none of these, neither at the base
+    pose nor on the way there nor while the base moves. The arm may be over them."""
+    facing: float | None = None
+    """Largest angle between the base's x axis and the direction to the grasp [rad]."""
+    most_driving: float | None = None
+    """Longest drive from the start [m]."""
+
+    def __post_init__(self) -> None:
+        for name in ("keep_in", "keep_out"):
+            object.__setattr__(self, name, _outlines(f"BaseRegion.{name}", getattr(self, name)))
+        for name in ("facing", "most_driving"):
+            if getattr(self, name) is not None:
+                value = finite_number(f"BaseRegion.{name}", getattr(self, name), 0.0)
+                object.__setattr__(self, name, value)
+
+
+def _outlines(name: str, value: object) -> tuple[Outline, ...]:
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise InputError(f"{name} must be a sequence of outlines, not {shown(value)}")
+    outlines = []
+    for k, corners in enumerate(value):
+        points = finite_array(f"{name}[{k}]", corners, (None, 2))
+        if len(points) < 3:
+            raise InputError(f"{name}[{k}] must have 3 or more corners x, y, not {len(points)}")
+        outlines.append(tuple((float(x), float(y)) for x, y in points))
+    return tuple(outlines)
+
+
+ANYWHERE: BaseRegion = BaseRegion()
+
+
+MAX_EFFORT_SHARE = 0.9
+"""Share of an effort limit that a state may need at rest [-]; the rest is for accelerations. In
+simulation, a torso that needs 0.92 of its limit for its own weight does not follow its motion."""
+
+MIN_STABILITY = 0.02
+"""Least distance from tipping over at rest [m]. In simulation, the accelerations of a UR5e on a
+narrow base of 117 kg move the zero moment point by up to 1.6 cm from where it is at rest."""
+
+
+MOVING_PULL = 4.0
+"""What a part pulls in addition while the base moves [N]: wheels slip by 3 %, and a hand that
+yields with 400 Ns/m bears that until it has. In simulation, a microwave's door that resists with
+7 N pulls a Stretch with up to 11 N, more beyond its resistance than six other parts."""
+
+
+@compare_by_content
+@dataclass(frozen=True, eq=False)
+class MotionLoads:
+    """The worst loads of a motion, at rest in each of its states."""
+
+    efforts: Mapping[str, float] = field(default_factory=dict)
+    """Share of each joint's effort limit, by joint [-]; joints without a limit are missing."""
+    stability: float | None = None
+    """Distance from the zero moment point to the nearest edge of the area that the wheels stand on
+    [m]; None if masses or wheels are unknown."""
+    payload: float | None = None
+    """Mass of the object in the hand [kg]; None if the task moves a joint."""
+    notes: tuple[str, ...] = ()
+    """What the robot's files leave open, one line each."""
+
+    @property
+    def worst(self) -> tuple[str, float] | None:
+        """Return the joint with the largest share, and its share; None if no limit is known."""
+        return max(self.efforts.items(), key=lambda item: item[1], default=None)
+
+    def __str__(self) -> str:
+        said = []
+        if self.payload is not None:
+            said.append(f"{self.payload:.3g} kg in the hand")
+        if self.worst is not None:
+            joint, share = self.worst
+            said.append(f"{joint} needs {100 * share:.0f} % of its effort limit")
+        if self.stability is not None:
+            said.append(f"{100 * self.stability:.0f} cm from tipping over")
+        return "; ".join([*said, *self.notes])
+
+
+MAX_VALUE = 1e5
+"""Maximum force, torque, damping, mass, travel or lever; excludes mistaken units [-]."""
+
+
+@dataclass(frozen=True)
+class JointResistance:
+    """Known resistance of a joint; None where momapos assumes a value, see `ResistanceConfig`.
+
+    Raises:
+        InputError: A value is not finite, negative or larger than 1e5.
+    """
+
+    seal_force: float | None = None
+    """Pull at the handle that opens the closed part, with its seal, latch or catch [N]."""
+    seal_travel: float | None = None
+    """Travel of the handle over which this pull fades to nothing [m]."""
+    lever: float | None = None
+    """Travel of the point where these two are measured per unit of the joint: its distance from a
+    hinge [m], 1 for a slide. None for the handle's."""
+    friction: float | None = None
+    """Dry friction [Nm] or [N]."""
+    damping: float | None = None
+    """Damping [Nms/rad] or [Ns/m]."""
+    mass: float | None = None
+    """Mass of all that the joint moves [kg]."""
+    balanced: bool | None = None
+    """Whether springs bear the weight of the part, as in most dishwashers and lift-up doors."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("seal_force", "seal_travel", "lever", "friction", "damping", "mass"):
+            value = getattr(self, name)
+            if value is not None:
+                least = 1e-6 if name in ("seal_travel", "lever", "mass") else 0.0
+                number = finite_number(f"JointResistance.{name}", value, least, MAX_VALUE)
+                object.__setattr__(self, name, number)
+
+    def members(self) -> dict[str, float | bool]:
+        """Return the known values by name, as files hold them."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+@compare_by_content
+@dataclass(frozen=True, eq=False)
+class Overrides:
+    """What a user has set of forces and masses, against or beyond what the files state."""
+
+    resistance: Mapping[str, Mapping[str, JointResistance]] = field(default_factory=dict)
+    """Resistance by object and joint."""
+    mass: Mapping[str, float] = field(default_factory=dict)
+    """Mass of whole objects [kg]."""
+    assumed: Mapping[str, float] = field(default_factory=dict)
+    """Settings of `ResistanceConfig` that are not the default, by name."""
+
+    @property
+    def any(self) -> bool:
+        """Return whether anything is set."""
+        return bool(self.resistance or self.mass or self.assumed)
+
+
+NO_OVERRIDES: Overrides = Overrides()
 
 
 Status = Literal["solved", "assumed", "infeasible", "timeout"]
@@ -326,3 +519,19 @@ def status_of_all(plans: Sequence[PlacementPlan]) -> Status:
     """Return the status of plans in a row: of the last, or `assumed` if an earlier one is that."""
     assumed = any(plan.status == "assumed" for plan in plans)
     return "assumed" if assumed and plans[-1].status == "solved" else plans[-1].status
+
+
+@dataclass(frozen=True)
+class Latch:
+    """A lever, knob or bolt on a part, which keeps the part closed until it is turned."""
+
+    joint: str
+    """The joint of the latch, on the part that it holds."""
+    to: float
+    """Value from which on the part is free [rad] or [m]."""
+    holds: str
+    """The joint that it holds."""
+
+    def members(self) -> dict[str, str | float]:
+        """Return the fields by name, as files hold them."""
+        return asdict(self)

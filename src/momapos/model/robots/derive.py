@@ -1,4 +1,4 @@
-"""Derive a robot file from a URDF alone.
+"""Derive a robot file from a URDF alone, and write it with its SRDF and URDF.
 
 URDFs do not state which link is on the floor, which joints form an arm, or where the tool is. This
 module infers them from names and geometry and reports every assumption, so that the user can
@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core import Cache, RobotError, resolved
+from momapos.core import Cache, RobotError, UrdfError, resolved, write_atomic
 from momapos.model.urdf import Articulated, Urdf
 
 from .amended_urdf import BOX, AddedFrame, Amendments, Mount
 from .base_guess import (
+    drive_of,
     find_base_link,
     find_drive,
     find_footprint,
@@ -27,16 +28,16 @@ from .base_guess import (
     refuse_unknown_axle,
     refuse_without_base,
 )
-from .drive_guess import drive_of
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool
-from .homes import ArmToRest, find_homes
+from .homes import NESTED, ArmToRest, find_homes
 from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
-from .never_checked import NESTED
+from .robot import Robot, load_arms
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
 from .running_gear import RunningGear, drawn_meshes, find_running_gear, sideways_plugin
-from .srdf import Srdf, find_srdf, srdf_next_to
+from .srdf import Srdf, find_srdf, srdf_next_to, srdf_text
+from .xacro import Expanded, expand_xacro, is_xacro
 
 MAX_LINKS = 500
 ReportProgress = Callable[[float, str], None]
@@ -320,3 +321,112 @@ def _relative(path: Path, out: Path) -> str:
 
 def _box(source: RobotSource) -> tuple[float, ...]:
     return () if source.mount is None or source.mount.box is None else source.mount.box
+
+
+def write_robot(
+    source: Path | RobotSource,
+    out: Path | None = None,
+    *,
+    args: Mapping[str, str] | None = None,
+    seed: int = 0,
+    cache: Cache | None = None,
+    report: ReportProgress = lambda _share, _what: None,
+    inspect: Callable[[Sequence[Robot]], None] = lambda _arms: None,
+) -> tuple[Path, Derived]:
+    """Derive a robot file from a URDF or xacro file and write it.
+
+    An SRDF is written next to it if links in permanent contact are missing in the URDF's own SRDF;
+    for a xacro file also the expanded URDF.
+
+    Args:
+        source: The URDF or xacro file, and its options.
+        out: The robot file; None for the URDF's name with `.toml`.
+        args: Arguments of the xacro file by name.
+        seed: Seed of the sampled arm states.
+        cache: Stores expensive geometry.
+        report: Receives the progress.
+        inspect: Receives the arms; if it raises, nothing is written.
+
+    Returns:
+        The robot file, and what was derived.
+
+    Raises:
+        RobotError: A file exists already or cannot be written, or nothing can be derived.
+        UrdfError: The URDF is invalid.
+    """
+    source = RobotSource(source) if isinstance(source, Path) else source
+    plain = source.urdf.with_suffix("") if is_xacro(source.urdf) else source.urdf
+    out = out or plain.with_suffix(".toml")
+    _refuse_existing(out)
+    if out.parent.exists() and not out.parent.is_dir():
+        raise RobotError(f"{out}: cannot be written ({out.parent} is no folder)")
+    files: dict[Path, str] = {}
+    if is_xacro(source.urdf):
+        urdf = out.with_suffix(".urdf")
+        _refuse_existing(urdf)
+        expanded = expand_xacro(source.urdf, source.packages, args or {})
+        files[urdf] = expanded.urdf
+        derived = _derive_expanded(source, urdf, expanded, out, seed, cache, report)
+    else:
+        derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+    if derived.pairs:
+        srdf = out.with_suffix(".srdf")
+        _refuse_existing(srdf)
+        files[srdf] = srdf_text(out.stem, derived.pairs)
+    _write({**files, out: derived.toml}, out, cache, inspect)
+    return out, derived
+
+
+def _derive_expanded(
+    source: RobotSource,
+    urdf: Path,
+    expanded: Expanded,
+    out: Path,
+    seed: int,
+    cache: Cache | None,
+    report: ReportProgress,
+) -> Derived:
+    """Derive a robot file from an expanded xacro file; say what the file leaves out by default."""
+    near = source.urdf
+    source = replace(
+        source, urdf=urdf, packages=expanded.packages, content=expanded.urdf, near=near
+    )
+    try:
+        derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+    except (RobotError, UrdfError) as error:  # the URDF is not written
+        off = f"; {near.name} leaves parts out by default: {expanded.off}" if expanded.off else ""
+        raise type(error)(str(error).replace(str(urdf), str(near)) + off) from error
+    notes = [*expanded.notes, *derived.assumptions]
+    if expanded.off:
+        notes.append(f"xacro: {near.name} leaves parts out by default: {expanded.off}")
+    return replace(derived, assumptions=tuple(notes))
+
+
+def _refuse_existing(path: Path) -> None:
+    if path.exists():
+        raise RobotError(f"{path}: exists already; remove it, or choose another file")
+
+
+def _write(
+    files: Mapping[Path, str],
+    out: Path,
+    cache: Cache | None,
+    inspect: Callable[[Sequence[Robot]], None],
+) -> None:
+    """Write files, the robot file last; remove all if it cannot be read back and inspected."""
+    written: list[Path] = []
+    folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
+    try:
+        for path, text in files.items():
+            write_atomic(path, text.encode())
+            written.append(path)
+        inspect(load_arms(out, cache=cache))
+    except BaseException as error:  # also on an interrupt
+        for path in written:
+            path.unlink(missing_ok=True)
+        for folder in folders:
+            if folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise RobotError(f"{error.filename}: cannot be written ({error.strerror})") from error
+        raise

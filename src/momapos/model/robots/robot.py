@@ -29,22 +29,23 @@ from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, buil
 from momapos.model.records import InverseKinematics
 from momapos.model.urdf import Articulated, Boxes
 
-from .base_table import read_footprint, read_turning_radius
-from .file_values import TomlTable
 from .gripper_guess import FINGER, HAND
-from .robot_keys import ignored_keys
-from .robot_names import find_robot, library_file
-from .robot_tables import (
+from .robot_file import (
     ANY,
+    TomlTable,
     amendments_of,
     arm_tables,
     at_rest,
     check_version,
     choose_arms,
+    ignored_keys,
+    read_footprint,
     read_table,
+    read_turning_radius,
     resolve_path,
     srdf_of,
 )
+from .robot_names import find_robot, library_file
 from .srdf import read_srdf
 
 if TYPE_CHECKING:

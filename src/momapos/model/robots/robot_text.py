@@ -15,7 +15,7 @@ from momapos.model.urdf import Mimic
 from .amended_urdf import AddedFrame, Mount
 from .gripper_guess import GripperGeometry, listed
 from .robot import ASSUMED_FORCE
-from .robot_tables import VERSION
+from .robot_file import VERSION
 
 if TYPE_CHECKING:
     from jaxtyping import Float

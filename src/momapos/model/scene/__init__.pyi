@@ -1,5 +1,3 @@
-from .floor_areas import area_name as area_name
-from .floor_areas import find_area as find_area
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import assumes_springs as assumes_springs
 from .joint_resistance import known_resistance as known_resistance
@@ -8,8 +6,6 @@ from .joint_resistance import part_masses as part_masses
 from .joint_resistance import resistance_along as resistance_along
 from .joint_resistance import stated_resistance as stated_resistance
 from .joint_resistance import stays_in_place as stays_in_place
-from .joint_values import joint_value as joint_value
-from .joint_values import set_joints as set_joints
 from .kitchens import LAYOUTS as LAYOUTS
 from .kitchens import empty_kitchen as empty_kitchen
 from .kitchens import free_start as free_start
@@ -22,6 +18,9 @@ from .latches import latch_value as latch_value
 from .latches import part_values as part_values
 from .model_copies import copied as copied
 from .model_copies import model_files as model_files
+from .object_reader import FLOOR_EDGE as FLOOR_EDGE
+from .object_reader import size_hint as size_hint
+from .object_reader import usual_edge as usual_edge
 from .other_motion import as_planned as as_planned
 from .other_motion import hypothesis_about as hypothesis_about
 from .other_motion import save_with_part_motion as save_with_part_motion
@@ -33,6 +32,10 @@ from .other_motion import with_part_motion as with_part_motion
 from .resistance_config import ResistanceConfig as ResistanceConfig
 from .resistance_config import assumed_with as assumed_with
 from .scene import Scene as Scene
+from .scene import area_name as area_name
+from .scene import find_area as find_area
+from .scene import joint_value as joint_value
+from .scene import set_joints as set_joints
 from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene
 from .scene_files import write_text_atomic as write_text_atomic
@@ -42,8 +45,5 @@ from .scene_names import builtin_size as builtin_size
 from .scene_names import find_scene as find_scene
 from .scene_names import refuse_unknown_object as refuse_unknown_object
 from .scene_object import SceneObject as SceneObject
+from .scene_object import Wall as Wall
 from .scene_object import upright_boxes as upright_boxes
-from .usual_sizes import FLOOR_EDGE as FLOOR_EDGE
-from .usual_sizes import size_hint as size_hint
-from .usual_sizes import usual_edge as usual_edge
-from .walls import Wall as Wall

@@ -33,7 +33,7 @@ from momapos.model.scene.library import (
     write_kitchen,
 )
 
-from .walls import WALL_HEIGHT, WALL_THICKNESS
+from .scene_object import WALL_HEIGHT, WALL_THICKNESS
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -13,7 +13,7 @@ from momapos.core.geometry import apply, invert
 from momapos.model.records import Latch
 from momapos.model.urdf import Articulated, Joint, opening_of
 
-from .joint_values import joint_value
+from .scene import joint_value
 from .scene_object import SceneObject
 
 if TYPE_CHECKING:

@@ -6,11 +6,13 @@ a URDF, which is a scene of one object, and YAML a map of Nav2.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from momapos.core import (
     USER_CACHE,
     Cache,
     FileFormatError,
+    InputError,
     SceneError,
     as_path,
     expect,
@@ -25,23 +28,217 @@ from momapos.core import (
     resolved,
     write_atomic,
 )
-from momapos.model.scene.formats import foreign_kind, is_map
+from momapos.model.urdf import Geometry, Link, Mesh, Urdf
 
 from . import bestman
-from .code_models import box_edges, save_model
-from .confidence import confidence_to_json
-from .floor_areas import read_areas, read_floor, read_start
-from .hypotheses import hypotheses_to_json
+from .formats import foreign_kind, is_map, obj_text, urdf_text
 from .map_room import read_map_scene, with_map
 from .model_copies import model_files
-from .object_models import ObjectModels
-from .object_reader import ObjectReader, read_text
-from .room_limits import check_room_size
-from .scene import Scene
+from .object_reader import (
+    FLOOR_EDGE,
+    ObjectModels,
+    ObjectReader,
+    confidence_to_json,
+    hypotheses_to_json,
+    read_text,
+    size_hint,
+    usual_edge,
+)
+from .scene import Scene, read_areas, read_floor, read_numbers, read_start
 from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
 from .scene_names import FORMAT, MAX_BYTES, find_scene
-from .scene_object import SceneObject
-from .wall_files import read_walls, walls_to_json
+from .scene_object import (
+    WALL_HEIGHT,
+    WALL_THICKNESS,
+    SceneObject,
+    Wall,
+    check_crossing,
+    wall_name,
+    walls_around,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+ALONG_FLOOR = "floor"
+MAX_WALLS = 1_000
+
+
+def read_walls(value: Any, floor: Float[np.ndarray, "k 2"] | None, where: str) -> tuple[Wall, ...]:
+    """Read the walls of a scene file.
+
+    Args:
+        value: "floor", or a list of {"from": [x, y], "to": [x, y]} that may also give "height" and
+            "thickness" [m]; None for no walls.
+        floor: Outline of the floor [m].
+        where: Start of messages.
+
+    Raises:
+        SceneError: A wall is invalid, two walls cross, or there is no floor to follow.
+    """
+    if value is None:
+        return ()
+    if value == ALONG_FLOOR:
+        if floor is None:
+            raise SceneError(
+                f'{where}: "{ALONG_FLOOR}" needs the outline of the floor; add "floor": '
+                "[[x, y], ...], or list the walls"
+            )
+        return _named(where, walls_around, floor)
+    if not isinstance(value, list) or len(value) > MAX_WALLS:
+        raise SceneError(
+            f'{where} must be "{ALONG_FLOOR}" or a list of at most {MAX_WALLS} walls '
+            '{"from": [x, y], "to": [x, y]}'
+        )
+    walls = tuple(_wall(item, f"{where}: {wall_name(i)}") for i, item in enumerate(value))
+    check_crossing(walls, where)
+    return walls
+
+
+def _wall(item: Any, where: str) -> Wall:
+    if not isinstance(item, dict):
+        raise SceneError(f'{where} must be {{"from": [x, y], "to": [x, y]}}')
+    (x, y), (u, v) = (
+        read_numbers(item.get(k), 2, f"{where}: {k}").tolist() for k in ("from", "to")
+    )
+    sizes = [
+        read_numbers([item.get(key, default)], 1, f"{where}: {key}").tolist()[0]
+        for key, default in (("height", WALL_HEIGHT), ("thickness", WALL_THICKNESS))
+    ]
+    return _named(where, Wall, (x, y), (u, v), *sizes)
+
+
+def _named(where: str, make: Any, *arguments: Any) -> Any:
+    """Make walls; the message of an error starts with `where`."""
+    try:
+        return make(*arguments)
+    except InputError as error:
+        raise SceneError(f"{where}: {error}".replace("Wall.", "")) from error
+
+
+def walls_to_json(walls: Sequence[Wall], floor: Float[np.ndarray, "k 2"] | None) -> Any:
+    """Return walls as a scene file has them."""
+    if floor is not None and tuple(walls) == walls_around(floor):
+        return ALONG_FLOOR
+    return [
+        {"from": list(w.start), "to": list(w.end), "height": w.height, "thickness": w.thickness}
+        for w in walls
+    ]
+
+
+MAX_ROOM = (50.0, 50.0, 10.0)
+"""Maximum size of a room with its floor [m]: clearance uses a grid of 10 cm, driving one of
+5 cm."""
+MAX_FILLED_VOLUME = 50_000.0
+"""Maximum volume of all collision elements, each with `FILL_MARGIN` around it [m^3]; a grid lists
+them."""
+FILL_MARGIN = 0.3
+
+
+def check_room_size(scene: Scene) -> None:
+    """Refuse rooms that are too large for the planner's grids.
+
+    Raises:
+        SceneError: The room is larger than `MAX_ROOM`, or its elements fill more than
+            `MAX_FILLED_VOLUME`; the message names the farthest object.
+        UrdfError: A mesh of an object is invalid.
+    """
+    bounds = np.array([item.bounds for item in scene.objects]).reshape(-1, 2, 3)
+    corners = bounds.reshape(-1, 3)
+    if scene.floor_polygon is not None:
+        corners = np.vstack([corners, np.pad(scene.floor_polygon, ((0, 0), (0, 1)))])
+    if not len(corners):
+        return
+    size = np.ptp(corners, axis=0)
+    if (size > MAX_ROOM).any():
+        far = corners - np.median(corners, axis=0)
+        worst = int(np.abs(far / MAX_ROOM).max(1).argmax()) // 2
+        raise SceneError(
+            f"{scene.path}: the room measures {' x '.join(f'{v:.4g}' for v in size)} m; at most "
+            f"{' x '.join(f'{v:g}' for v in MAX_ROOM)} m are supported; check "
+            + _suspect(scene, worst)
+        )
+    elements = np.array([sum(map(len, item.model.hulls.values())) for item in scene.objects])
+    filled = float(elements @ np.prod(np.ptp(bounds, axis=1) + 2 * FILL_MARGIN, axis=1))
+    if filled > MAX_FILLED_VOLUME:
+        raise SceneError(
+            f"{scene.path}: its {elements.sum()} collision elements fill {filled:.3g} m^3 with "
+            f"{FILL_MARGIN:g} m around each; at most {MAX_FILLED_VOLUME:g} m^3 are supported; use "
+            "fewer elements"
+        )
+
+
+def _suspect(scene: Scene, index: int) -> str:
+    """Return the object at an index, or the floor, with a hint at the unit of its size."""
+    if index < len(scene.objects):
+        item = scene.objects[index]
+        name, size = repr(item.name), np.ptp(item.bounds, axis=0)
+        usual = usual_edge(item.category, item.name, jointed=bool(item.model.joints))
+    else:
+        assert scene.floor_polygon is not None
+        name, size, usual = "the floor", np.ptp(scene.floor_polygon, axis=0), FLOOR_EDGE
+    hint = size_hint(size.tolist(), usual)
+    measures = " x ".join(f"{v:.4g}" for v in size)
+    return f"{name}, which measures {measures} m; {hint}" if hint else name
+
+
+_NAME_LENGTH = 60
+"""Maximum length of an object's name in a file name [-]."""
+_DIGEST_LENGTH = 12
+"""Number of digits of the hash of a file's content in its name [-]."""
+
+
+def box_edges(urdf: Urdf) -> tuple[float, ...] | None:
+    """Return the edges of a model that is one box around its origin [m]; None for others."""
+    shapes = urdf.links[urdf.root].collisions
+    if len(urdf.links) > 1 or len(shapes) != 1 or shapes[0].kind != "box":
+        return None
+    return shapes[0].size if np.array_equal(shapes[0].T_link_geometry, np.eye(4)) else None
+
+
+def save_model(name: str, urdf: Urdf, folder: Path) -> Path:
+    """Write a model without a file as a URDF with OBJ meshes; return the URDF.
+
+    The names of the files contain a hash of their content, so that saving again changes no file
+    that another scene uses.
+
+    Args:
+        name: Name of the object.
+        urdf: The model.
+        folder: Folder of the files, created if necessary.
+
+    Raises:
+        SceneError: A file cannot be written.
+    """
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", name)[:_NAME_LENGTH]
+    files: dict[Mesh, Path] = {}
+
+    def saved(shape: Geometry) -> Geometry:
+        if not isinstance(shape.mesh, Mesh):
+            return shape
+        if shape.mesh not in files:
+            files[shape.mesh] = Path(_write(folder, plain, ".obj", obj_text(shape.mesh)).name)
+        return replace(shape, mesh=files[shape.mesh])
+
+    links = {
+        key: Link(key, tuple(map(saved, link.collisions)), tuple(map(saved, link.visuals)))
+        for key, link in urdf.links.items()
+    }
+    return _write(folder, plain, ".urdf", urdf_text(replace(urdf, links=links)))
+
+
+def _write(folder: Path, plain: str, suffix: str, text: str) -> Path:
+    content = text.encode()
+    digest = hashlib.sha256(content).hexdigest()[:_DIGEST_LENGTH]
+    file = folder / f"{plain}_{digest}{suffix}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(file, content)
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
+    return file
+
 
 VERSION = 1
 MAX_OBJECTS = 2_000

@@ -17,14 +17,12 @@ import numpy as np
 from momapos.core import Cache, UrdfError
 from momapos.core.geometry import invert
 
-from .collada import turned_up, up_axis
+from .articulated import CUT
 from .convex_pieces import pieces_of, triangles_of
 from .hulls import Hull, hull_of, unique_rows
-from .mesh_files import MeshFinder
-from .meshes import mesh_bytes, mesh_digest, mesh_points
+from .meshes import mesh_bytes, mesh_digest, mesh_points, turned_up, up_axis
 from .model_cache import once
-from .reader import read_urdf
-from .static_shapes import CUT
+from .reader import MeshFinder, read_urdf
 from .urdf_records import Geometry, Link, Mesh, Urdf
 
 if TYPE_CHECKING:

@@ -6,30 +6,136 @@ that they open other files.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
 import logging
+import math
 import os
 import struct
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import ParseError
 
 import numpy as np
 
 from momapos.core import UrdfError, fork_safe_lock, read_bytes_bounded
 
-from .collada import meters_per_unit
-from .recent_points import RecentPoints
 from .urdf_records import Mesh
+from .urdf_tree import MAX_SIZE
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+MAX_BYTES = 64_000_000
+"""Memory that the vertices take, except those of one larger mesh; meshes of robots and furniture
+have 10 kB to 1 MB of vertices [bytes]."""
+
+
+class RecentPoints:
+    """The vertices of mesh files, by path and time of the last change."""
+
+    def __init__(self, size: int = MAX_BYTES) -> None:
+        self.size = size
+        self.held = 0
+        """Memory that the vertices take [bytes]."""
+        self._known: OrderedDict[tuple[Path, int], Float[np.ndarray, "n 3"]] = OrderedDict()
+        self._lock = fork_safe_lock()
+
+    def get(
+        self, path: Path, stamp: int, read: Callable[[Path], Float[np.ndarray, "n 3"]]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Return the vertices of a file, and read them if they are not known.
+
+        Args:
+            path: The file.
+            stamp: Time of its last change.
+            read: Returns the vertices.
+        """
+        key = path, stamp
+        with self._lock:
+            if key in self._known:
+                self._known.move_to_end(key)
+                return self._known[key]
+        points = read(path)
+        with self._lock:
+            if key not in self._known:
+                self._known[key] = points
+                self.held += points.nbytes
+            found = self._known[key]
+            while self.held > self.size and len(self._known) > 1:
+                self.held -= self._known.popitem(last=False)[1].nbytes
+        return found
+
+
+ROTATIONS = {
+    "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+"""Rotations that turn an up axis to z (COLLADA 1.4.1, up_axis)."""
+
+
+def meters_per_unit(root: Any) -> float:
+    """Return the length of a unit of a COLLADA file [m]; 1 if it gives none.
+
+    Raises:
+        UrdfError: The length is not a usable number.
+    """
+    unit = root.find("{*}asset/{*}unit")
+    text = "1" if unit is None else unit.get("meter", "1")
+    try:
+        meters = float(text)
+    except ValueError:
+        meters = math.nan
+    if not 1 / MAX_SIZE <= meters <= MAX_SIZE:
+        raise UrdfError(
+            f"<unit meter={text!r:.40}> must be a number from {1 / MAX_SIZE:g} to {MAX_SIZE:g}"
+        )
+    return meters
+
+
+def up_axis(path: Path, data: bytes) -> str:
+    """Return the up axis of a COLLADA file: X_UP, Y_UP or Z_UP; Z_UP if it gives none.
+
+    The format's default is Y_UP, but URDF tools write files without it whose z is up.
+    """
+    if path.suffix.lower() != ".dae":
+        return "Z_UP"
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import iterparse
+
+    # A damaged file is reported where its mesh is read.
+    with contextlib.suppress(ParseError, DefusedXmlException, UnicodeDecodeError, LookupError):
+        for _, element in iterparse(io.BytesIO(data), forbid_dtd=True):
+            name = str(element.tag).rpartition("}")[2]
+            if name == "up_axis" and (element.text or "").strip() in ROTATIONS:
+                return (element.text or "").strip()
+            if name == "asset":
+                break
+    return "Z_UP"
+
+
+def turned_up(
+    T_link_geometry: Float[np.ndarray, "4 4"], scale: tuple[float, ...], axis: str
+) -> tuple[Float[np.ndarray, "4 4"], tuple[float, ...]]:
+    """Return pose and scale of a mesh as if its file were turned so that z is up.
+
+    The rotation permutes the axes, and with them the scale.
+    """
+    R = ROTATIONS[axis]
+    T = np.eye(4)
+    T[:3, :3] = R
+    x, y, z = np.abs(R).T @ np.array(scale)
+    return T_link_geometry @ T, (float(x), float(y), float(z))
+
 
 MAX_MESH_BYTES = 50_000_000
 """Largest mesh file; collision meshes of robots and furniture have some megabytes [bytes]."""

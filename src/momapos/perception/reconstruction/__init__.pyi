@@ -4,10 +4,10 @@ from .object_model import furniture_model as furniture_model
 from .scene_builder import GivenModel as GivenModel
 from .scene_builder import build_scene as build_scene
 from .scene_builder import place_model as place_model
-from .templates import TemplatePredictor as TemplatePredictor
-from .templates import has_parts as has_parts
 from .urdformer_files import is_predicted_urdf as is_predicted_urdf
 from .urdformer_files import read_predicted_urdf as read_predicted_urdf
+from .usual_kinds import TemplatePredictor as TemplatePredictor
+from .usual_kinds import has_parts as has_parts
 from .usual_kinds import weighted_by_height as weighted_by_height
 from .usual_kinds import weighted_by_label as weighted_by_label
 from .usual_kinds import weighted_by_size as weighted_by_size

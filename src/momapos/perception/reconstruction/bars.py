@@ -1,4 +1,4 @@
-"""Find handles as bars that protrude in the height map, where the networks missed them.
+"""Find handles as bars that protrude in the height map, and the parts that they belong to.
 
 A thin bar in the color of its door is a pixel or two wide in the image, but well in front of the
 door. Its place tells how the door opens. Two bars on one detected part mean that it is two parts.
@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import ndimage
 
 from momapos.model.records import FaceImage, Part, PartKind
 
@@ -19,7 +20,8 @@ from . import decode
 from .height_maps import MIN_PIXELS, Area, area_of, bars, heights_in, is_flat
 
 if TYPE_CHECKING:
-    from jaxtyping import Float32
+    from jaxtyping import Bool, Float, Float32
+
 
 MIN_PROTRUSION, MIN_SIGMAS = 0.02, 4.0
 """A bar protrudes by the first [m] and by this many standard deviations of the noise [-]."""
@@ -295,3 +297,252 @@ def opening(kind: PartKind, part: Area, bar: Area) -> PartKind:
     if from_bottom > 1 - SIDE:
         return "door_down"
     return "door_up" if from_bottom < SIDE else kind
+
+
+MIN_DOOR_SIDE = 0.2
+"""Minimum side of a part with an upright handle; smaller ones are panels with buttons [m]."""
+SCORE = 0.35
+"""Confidence of a part found only by its handle [-]."""
+MIN_FREE_EDGE_DISTANCE = 0.05
+"""A bar along an edge of the face closer than this may be a worktop or a neighbor [m]."""
+MAX_FRONT_DEPTH = 0.02
+"""A front lies in one plane within this [m]."""
+MAX_BLOCKED = 0.2
+"""A front ends at a row or column of pixels with more than this share outside of it [-]."""
+MAX_OFF_CENTER = 0.1
+"""Distance of a level handle from the middle of its part, relative to its width [-]."""
+MAX_HANDLE_LENGTH = 0.8
+"""Length of a handle relative to its part. Longer bars are boards and rails, unless a known part
+has a similar one [-]."""
+MIN_INSIDE = 0.5
+"""A bar belongs to a part that contains more than this share of it [-]."""
+
+
+def parts_from_bars(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Find parts at bars that protrude from a front outside the known parts.
+
+    Each extends from its bar as far as the front is flat and free of parts.
+    `bars.divided_by_bars` divides those with several bars.
+
+    Args:
+        face: The face with its height map.
+        parts: Parts from the networks.
+
+    Returns:
+        The missing parts, each with one handle.
+    """
+    whole = Part("drawer", (0.0, 0.0, 1.0, 1.0), SCORE)
+    bars = handles_on(face, whole)
+    held = [bar for bar in bars if _known(bar, parts, face)]
+    others = [bar for bar in bars if bar not in held and not _along_edge(bar, face)]
+    if not others:
+        return ()
+    free = _free(face, parts)
+    found: list[Part] = []
+    for bar in others:
+        if _known(bar, found, face):
+            continue
+        longest = (
+            1.0 if any(have_aligned_ends((bar, other)) for other in held) else MAX_HANDLE_LENGTH
+        )
+        part = _part_around(face, bar, free, longest)
+        if part is not None:
+            found.append(part)
+    return tuple(found)
+
+
+def _known(bar: Area, parts: Sequence[Part], face: FaceImage) -> bool:
+    return any(bar.share_in(area_of(part.box, face)) > MIN_INSIDE for part in parts)
+
+
+def _along_edge(bar: Area, face: FaceImage) -> bool:
+    """Check whether a bar runs close to an edge of the face; its ends may be there."""
+    if bar.height > bar.width:
+        return min(bar.left, face.width - bar.right) < MIN_FREE_EDGE_DISTANCE
+    return min(bar.bottom, face.height - bar.top) < MIN_FREE_EDGE_DISTANCE
+
+
+def _free(face: FaceImage, parts: Sequence[Part]) -> Bool[np.ndarray, "h w"]:
+    """Tell which pixels are in or in front of the plane of the front, and in no part."""
+    height_map = np.where(np.isfinite(face.height_map), face.height_map, 0.0)
+    known = face.height_map[np.isfinite(face.height_map)]
+    free = height_map > float(np.median(known)) - MAX_FRONT_DEPTH
+    h, w = free.shape
+    for part in parts:
+        left, top, right, bottom = np.round(np.array(part.box) * [w, h, w, h]).astype(int)
+        free[top:bottom, left:right] = False
+    return free
+
+
+def _part_around(
+    face: FaceImage, bar: Area, free: Bool[np.ndarray, "h w"], longest: float
+) -> Part | None:
+    """Return the largest free rectangle around a bar as a part; None if it is too small, or the bar
+    is longer than a share of it."""
+    h, w = free.shape
+    x = np.array([bar.left, bar.right]) / face.width * w
+    y = (1 - np.array([bar.top, bar.bottom]) / face.height) * h
+    rows = (int(np.clip(y[0], 0, h - 1)), int(np.clip(np.ceil(y[1]), 1, h)))
+    columns = (int(np.clip(x[0], 0, w - 1)), int(np.clip(np.ceil(x[1]), 1, w)))
+    free = free.copy()
+    free[slice(*rows), slice(*columns)] = True  # even if a known part covers some of the bar
+    wide = reach(free[slice(*rows)].mean(axis=0), columns)
+    high = reach(free[:, slice(*columns)].mean(axis=1), rows)
+    first = (wide, reach(free[:, slice(*wide)].mean(axis=1), rows))
+    second = (reach(free[slice(*high)].mean(axis=0), columns), high)
+    across, down = max(first, second, key=lambda pair: np.ptp(pair[0]) * np.ptp(pair[1]))
+    box = (across[0] / w, down[0] / h, across[1] / w, down[1] / h)
+    area = area_of(box, face)
+    level = bar.width > bar.height
+    share = bar.width / area.width if level else bar.height / area.height
+    least = MIN_PART_SIDE if level else MIN_DOOR_SIDE
+    if min(area.width, area.height) < least or share > longest:
+        return None
+    off = abs(bar.left + bar.right - area.left - area.right) / 2
+    if level and off > MAX_OFF_CENTER * area.width:
+        return None
+    kind: PartKind = "drawer" if level and area.width > area.height else "door_left"
+    odds = tuple((one, 1.0 / len(decode.KINDS)) for one in decode.KINDS)
+    said = Part(kind, box, SCORE, None, odds)
+    return replace(decode.with_kind(said, opening(kind, area, bar)), handle=fractions(bar, face))
+
+
+def reach(share: np.ndarray, start: tuple[int, int]) -> tuple[int, int]:
+    """Extend a stretch of pixels until too few of a row or column are free."""
+    blocked = np.flatnonzero(share < 1.0 - MAX_BLOCKED)
+    before, behind = blocked[blocked < start[0]], blocked[blocked >= start[1]]
+    return (
+        int(before[-1]) + 1 if len(before) else 0,
+        int(behind[0]) if len(behind) else len(share),
+    )
+
+
+MIN_CONTRAST = 0.08
+"""Contrast of a handle in `dark_lines` [-]."""
+MIN_PLAIN = 0.9
+"""Share of a front without any line; wood grain hides handles otherwise [-]."""
+MIN_LINES = 3
+"""Lines in a stack [-]."""
+HANDLE_WIDTHS = (0.08, 0.6)
+"""Width of a handle relative to its part [-]."""
+MAX_WIDTH_RATIO = 1.5
+"""Between the width of a handle and the median [-]."""
+MAX_HANDLE_HEIGHT = 0.04
+"""Height of a handle relative to its part [-]."""
+MAX_PITCH_DEVIATION = 0.2
+"""Deviation of the distances from their median, relative to it [-]."""
+DRAWER_HEIGHTS = (0.08, 0.5)
+"""Height of a drawer [m]."""
+MIN_MEASURED = 0.5
+"""Share of a part with depth that is needed to find the end of its front [-]."""
+MIN_BELOW = 0.75
+"""Handles are at the tops of drawers if more than this share of a drawer is below the last [-]."""
+
+
+def into_drawers(
+    face: FaceImage, parts: Sequence[Part], lines: Float32[np.ndarray, "h w"]
+) -> tuple[Part, ...]:
+    """Replace parts that are stacks of drawers by their drawers.
+
+    Without visible gaps, the networks may take all of a stack or any stretch of it for a part. So
+    handles are also searched above and below each part, as far as its front continues.
+
+    Args:
+        face: The face.
+        parts: Detected doors and drawers.
+        lines: Level dark lines of the face.
+    """
+    rest = sorted(parts, key=lambda part: -part.score)
+    kept: list[Part] = []
+    while rest:
+        part = rest.pop(0)
+        drawers = () if part.kind in FLAPS else _stack(face, part, lines)
+        whole = area_of(_box_around(drawers) if drawers else part.box, face)
+        if not drawers or area_of(part.box, face).share_in(whole) <= MIN_INSIDE:
+            kept.append(part)
+            continue
+        inside = [other for other in rest if area_of(other.box, face).share_in(whole) > MIN_INSIDE]
+        rest = [other for other in rest if other not in inside]
+        seen = [part, *inside]
+        fronts = [area_of(one.box, face) for one in seen]
+        handles = [area_of(drawer.handle or drawer.box, face) for drawer in drawers]
+        fit = {sum(bar.share_in(front) > MIN_INSIDE for bar in handles) for front in fronts}
+        kept += seen if len(seen) == len(drawers) and fit == {1} else drawers
+    return tuple(kept)
+
+
+def _stack(face: FaceImage, part: Part, lines: Float32[np.ndarray, "h w"]) -> tuple[Part, ...]:
+    """Return the drawers of the stack that a part belongs to; empty if there is no stack."""
+    box = _column(face, part)
+    rows = _rows(lines, box)
+    if len(rows) < MIN_LINES:
+        return ()
+    middle = rows[:, [1, 3]].mean(axis=1)
+    pitch = float(np.median(np.diff(middle)))
+    even = np.abs(np.diff(middle) - pitch).max() < MAX_PITCH_DEVIATION * pitch
+    if not (even and DRAWER_HEIGHTS[0] < pitch * face.height < DRAWER_HEIGHTS[1]):
+        return ()
+    at_top = box[3] - middle[-1] > MIN_BELOW * pitch
+    edges = middle if at_top else middle - pitch / 2
+    edges = np.clip(np.append(edges, edges[-1] + pitch), box[1], box[3])
+    return tuple(
+        replace(
+            decode.with_kind(part, "drawer"),
+            box=(part.box[0], float(top), part.box[2], float(bottom)),
+            handle=(float(x0), float(max(y0, top)), float(x1), float(y1)),
+        )
+        for top, bottom, (x0, y0, x1, y1) in zip(edges[:-1], edges[1:], rows, strict=True)
+    )
+
+
+def _box_around(drawers: Sequence[Part]) -> tuple[float, float, float, float]:
+    """Return the rectangle of a stack, from its highest drawer to its lowest."""
+    left, top, right, _ = drawers[0].box
+    return left, top, right, drawers[-1].box[3]
+
+
+def _column(face: FaceImage, part: Part) -> Float[np.ndarray, "4"]:
+    """Extend a part up and down to the ends of its front; unchanged without depth."""
+    box = np.array(part.box)
+    high, wide = face.height_map.shape
+    left, top, right, bottom = np.rint(box * [wide, high, wide, high]).astype(int)
+    own = face.height_map[top:bottom, left:right]
+    if np.isfinite(own).mean() < MIN_MEASURED:
+        return box
+    column = face.height_map[:, left:right]
+    free = column > np.nanmedian(own) - MAX_FRONT_DEPTH  # false where unmeasured
+    middle = int(top + bottom) // 2
+    highest, lowest = reach(free.mean(axis=1), (middle, middle))
+    box[1], box[3] = min(box[1], highest / high), max(box[3], lowest / high)
+    return box
+
+
+def _rows(
+    lines: Float32[np.ndarray, "h w"], box: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "n 4"]:
+    """Return the handles in the middle of a part, top to bottom, as fractions of the face."""
+    none = np.zeros((0, 4))
+    high, wide = lines.shape
+    left, top, right, bottom = np.rint(box * [wide, high, wide, high]).astype(int)
+    inner = lines[top:bottom, left:right]
+    if min(inner.shape, default=0) < 8 or (inner < MIN_CONTRAST).mean() < MIN_PLAIN:
+        return none
+    label, count = ndimage.label(inner > MIN_CONTRAST, np.ones((3, 3)))
+    if not count:
+        return none
+    spans = [(x.start, y.start, x.stop, y.stop) for y, x in ndimage.find_objects(label)]
+    found = np.array(spans, float)
+    broad, thick = ((found[:, 2:] - found[:, :2]) / inner.shape[::-1]).T
+    off = np.abs(found[:, [0, 2]].mean(axis=1) / inner.shape[1] - 0.5)
+    is_handle = (
+        (broad > HANDLE_WIDTHS[0])
+        & (broad < HANDLE_WIDTHS[1])
+        & (thick < MAX_HANDLE_HEIGHT)
+        & (off < MAX_OFF_CENTER)
+    )
+    if not is_handle.any():
+        return none
+    usual = float(np.median(broad[is_handle]))
+    is_handle &= (broad < MAX_WIDTH_RATIO * usual) & (usual < MAX_WIDTH_RATIO * broad)
+    stack = found[is_handle][np.argsort(found[is_handle, 1], kind="stable")]
+    return (stack + np.array([left, top, left, top])) / [wide, high, wide, high]

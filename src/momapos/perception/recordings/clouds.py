@@ -18,8 +18,7 @@ from momapos.core.geometry import point_spacing
 from momapos.model.records import Cloud
 
 from .pcd import read_pcd
-from .ply import Columns, read_ply
-from .thinning import AXES, origin_of, thinned
+from .ply import AXES, Columns, origin_of, read_ply, thinned
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8

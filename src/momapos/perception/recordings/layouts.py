@@ -19,8 +19,16 @@ import numpy as np
 from momapos.core import FileFormatError, read_bytes_bounded, resolved
 from momapos.model.records import Frame
 
-from .images import Size, image_size, match_color, read_color, read_depth, scaled_intrinsics
-from .keyframes import choose, sharpness_of
+from .images import (
+    Size,
+    choose,
+    image_size,
+    match_color,
+    read_color,
+    read_depth,
+    scaled_intrinsics,
+    sharpness_of,
+)
 from .validation import (
     Skips,
     check_intrinsics,
@@ -97,7 +105,7 @@ def read_frames(
 
     Args:
         layout: From `find_layout`.
-        max_frames: Maximum number of frames, see `keyframes.choose`.
+        max_frames: Maximum number of frames, see `choose`.
         depth_scale: Units of a depth image per meter; the layout's default if None.
 
     Returns:

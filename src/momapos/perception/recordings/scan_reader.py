@@ -22,11 +22,18 @@ from momapos.model.records import Frame, Scan
 
 from .bags import BagTopics, read_bag
 from .clouds import read_cloud
-from .conventions import CameraAxes, PoseDirection, Stated, with_conventions
+from .conventions import (
+    MAX_DRIFT,
+    CameraAxes,
+    PoseCheck,
+    PoseDirection,
+    Stated,
+    check_poses,
+    with_conventions,
+)
 from .image_folders import find_walk
 from .layouts import MILLIMETERS, find_layout, list_names, read_frames, refuse_links_out
-from .pose_check import MAX_DRIFT, PoseCheck, check_poses
-from .thinning import FAR
+from .ply import FAR
 from .validation import check_depth_unit
 
 if TYPE_CHECKING:

@@ -1,18 +1,24 @@
-"""Find the front face of an object, and the image that shows it best."""
+"""Find the front face of an object, the image that shows it best, and the parts on it.
+
+How one image shows a front depends on its viewpoint: a seam or a knob may be a pixel wide in one
+image and invisible in another, and the networks then merge two drawers into one. The parts in each
+image are hypotheses; overlapping parts of different images become one hypothesis. The result is the
+overlap-free set of parts with the largest total weight. A part's weight drops with the number of
+images that show the handle of another part inside it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from momapos.core.geometry import UprightBox
-from momapos.model.records import FaceImage, Frame, Front, Part
+from momapos.core.geometry import UprightBox, dark_lines
+from momapos.model.records import FaceImage, Frame, Front, Part, PartKind
 
-from .agreement import consensus
-from .even_doors import equalize_doors
 from .faces import (
     FACES,
     Face,
@@ -23,11 +29,251 @@ from .faces import (
     face_image,
     visible_share,
 )
-from .placed_parts import most_confident, shift_handles, transferred
-from .projection import Observation
+from .placed_parts import (
+    Observation,
+    area,
+    common_area,
+    most_confident,
+    overlap,
+    overlap_share,
+    shift_handles,
+    transferred,
+)
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float, Float32
+
+
+MIN_SAME_IOU = 0.6
+"""Parts of two images with at least this IoU are the same part [-]."""
+MAX_OVERLAP = 0.3
+"""Two parts of a front share less than this of the smaller one [-]."""
+MIN_SUPPORT = 0.12
+"""Parts with a lower mean score over all images are dropped; a missing part scores 0 [-]."""
+MIN_HANDLE_INSIDE = 0.5
+"""A handle is inside a part if more than this share of it is [-]."""
+UNSEEN = 0.01
+"""Probability of a part kind that an image does not name [-]."""
+
+
+Hypothesis = dict[int, Part]
+"""One part as several images show it, by image index; the most confident first."""
+
+
+def consensus(fronts: Sequence[Sequence[Part]]) -> tuple[Part, ...]:
+    """Return the parts that images of one face agree on, the most confident first.
+
+    Args:
+        fronts: The parts in each image, as fractions of the face; the best image first.
+    """
+    hypotheses = _hypotheses(fronts)
+    support = np.array([sum(p.score for p in v.values()) / len(fronts) for v in hypotheses])
+    hypotheses = [
+        hypothesis
+        for hypothesis, share in zip(hypotheses, support, strict=True)
+        if share >= MIN_SUPPORT
+    ]
+    merged = [_merged(hypothesis) for hypothesis in hypotheses]
+    weights = support[support >= MIN_SUPPORT] * [area(part.box) for part in merged]
+    weights *= [1.0 - _unexplained(*pair, fronts) for pair in zip(merged, hypotheses, strict=True)]
+    apart = np.array([[overlap_share(a, b) < MAX_OVERLAP for b in merged] for a in merged], bool)
+    apart = apart.reshape(len(merged), len(merged))
+    kept = [merged[k] for k in _heaviest(weights, apart)]
+    return tuple(sorted(kept, key=lambda part: -part.score))
+
+
+def _hypotheses(fronts: Sequence[Sequence[Part]]) -> list[Hypothesis]:
+    """Group overlapping parts of different images, the most confident first."""
+    every = sorted(
+        ((part, image) for image, parts in enumerate(fronts) for part in parts),
+        key=lambda pair: -pair[0].score,
+    )
+    found: list[Hypothesis] = []
+    for part, image in every:
+        free = [(overlap(next(iter(v.values())).box, part.box), v) for v in found if image not in v]
+        common, hypothesis = max(free, key=lambda pair: pair[0], default=(0.0, {}))
+        if common < MIN_SAME_IOU:
+            hypothesis = {}
+            found.append(hypothesis)
+        hypothesis[image] = part
+    return found
+
+
+def _unexplained(part: Part, hypotheses: Hypothesis, fronts: Sequence[Sequence[Part]]) -> float:
+    """Return the share of images that show another part's handle inside a part [-].
+
+    Neighbors do not count: only parts that cannot coexist with this one.
+    """
+    own = [v.handle for v in hypotheses.values() if v.handle is not None]
+    shows = [
+        any(
+            other.handle is not None
+            and overlap_share(part, other) >= MAX_OVERLAP
+            and common_area(part.box, other.handle) > MIN_HANDLE_INSIDE * area(other.handle)
+            and all(not common_area(other.handle, one) for one in own)
+            for other in parts
+        )
+        for parts in fronts
+    ]
+    return sum(shows) / len(fronts)
+
+
+def _heaviest(weights: Float[np.ndarray, " n"], apart: Bool[np.ndarray, "n n"]) -> list[int]:
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    if not len(weights):
+        return []
+    pairs = np.argwhere(np.triu(~apart, k=1))
+    rows = np.zeros((len(pairs), len(weights)))
+    rows[np.arange(len(pairs))[:, None], pairs] = 1.0
+    solved = milp(
+        -weights,
+        integrality=np.ones(len(weights)),
+        bounds=Bounds(0.0, 1.0),
+        constraints=[LinearConstraint(rows, ub=1.0)] if len(pairs) else (),
+    )
+    return np.flatnonzero(solved.x > 0.5).tolist()
+
+
+def _merged(hypotheses: Hypothesis) -> Part:
+    parts = list(hypotheses.values())
+    scores = np.array([part.score for part in parts])
+    box = np.median([part.box for part in parts], axis=0).tolist()
+    odds = _odds(parts, scores)
+    held = next((part.handle for part in parts if part.handle is not None), None)
+    kind = odds[0][0] if odds else parts[0].kind
+    left, top, right, bottom = box
+    return replace(parts[0], kind=kind, box=(left, top, right, bottom), handle=held, odds=odds)
+
+
+def _odds(
+    parts: Sequence[Part], scores: Float[np.ndarray, " n"]
+) -> tuple[tuple[PartKind, float], ...]:
+    """Return the geometric mean of the images' kind probabilities, weighted by score."""
+    known = [(dict(p.odds), s) for p, s in zip(parts, scores, strict=True) if p.odds]
+    if not known:
+        return ()
+    kinds = list(known[0][0])
+    rows = [[np.log(max(odds.get(kind, 0.0), UNSEEN)) for kind in kinds] for odds, _ in known]
+    mean = np.exp(np.average(np.array(rows), axis=0, weights=[s for _, s in known]))
+    pairs = zip(kinds, (mean / mean.sum()).tolist(), strict=True)
+    return tuple(sorted(pairs, key=lambda pair: -pair[1]))
+
+
+DOORS = ("door_left", "door_right")
+MAX_LEVEL_DIFFERENCE = 0.05
+"""Tops and bottoms of doors in one row differ by less than this share of the face's height [-]."""
+MAX_GAP = 0.4
+"""Doors in a row overlap or are apart by less than this share of the narrower one [-]."""
+SEARCH_RADIUS = 0.02
+"""Seams are searched for this far from their predicted place [m]."""
+RIM = 0.04
+"""A door that starts closer to the rim of its face starts at the rim, unless a seam is visible
+[m]."""
+MIN_CONTRAST = 0.05
+"""Contrast of a visible seam in `dark_lines` [-]."""
+MAX_WIDTH_CHANGE = 0.3
+"""No door changes its width by more than this share [-]."""
+
+
+def equalize_doors(face: FaceImage, parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Divide rows of doors evenly between the visible seams.
+
+    Args:
+        face: The face.
+        parts: All parts on it.
+
+    Returns:
+        The same parts in the same order. Only doors that meet without a visible seam change.
+    """
+    found, rows = list(parts), _rows(parts)
+    upright = dark_lines(face.color, 1) if rows else np.zeros((0, 0), np.float32)
+    for row in rows:
+        doors = [parts[k] for k in row]
+        edges = _edges(face, doors, upright)
+        even = np.interp(np.arange(len(doors) + 1), list(edges), list(edges.values())).tolist()
+        made = [_between(door, *span) for door, span in zip(doors, pairwise(even), strict=True)]
+        if None not in made:
+            for k, door in zip(row, made, strict=True):
+                found[k] = door or found[k]
+    return tuple(found)
+
+
+def _rows(parts: Sequence[Part]) -> list[list[int]]:
+    """Return the indices of the doors of each row, from left to right."""
+    rows: list[list[int]] = []
+    for k in sorted(range(len(parts)), key=lambda k: parts[k].box[0]):
+        if parts[k].kind not in DOORS:
+            continue
+        for row in rows:
+            if _side_by_side(parts[row[-1]], parts[k]):
+                row.append(k)
+                break
+        else:
+            rows.append([k])
+    return [row for row in rows if len(row) > 1]
+
+
+def _side_by_side(a: Part, b: Part) -> bool:
+    level = max(abs(a.box[1] - b.box[1]), abs(a.box[3] - b.box[3])) < MAX_LEVEL_DIFFERENCE
+    return level and abs(b.box[0] - a.box[2]) < MAX_GAP * min(_width(a), _width(b))
+
+
+def _edges(
+    face: FaceImage, doors: Sequence[Part], upright: Float32[np.ndarray, "h w"]
+) -> dict[int, float]:
+    """Return the visible seams of a row, and its start and end, by index.
+
+    Without a visible seam, a door near the rim extends to the rim.
+    """
+    first, last = doors[0].box, doors[-1].box
+    rim = RIM / face.width
+    edges = [_seam(face, (a, b), (a.box[2], b.box[0]), upright) for a, b in pairwise(doors)]
+    start, end = (
+        _seam(face, (door, door), (edge, edge), upright)
+        for door, edge in ((doors[0], first[0]), (doors[-1], last[2]))
+    )
+    begins = 0.0 if start is None and first[0] < rim else first[0]
+    ends = 1.0 if end is None and last[2] > 1.0 - rim else last[2]
+    known = [(0, begins), *enumerate(edges, start=1), (len(doors), ends)]
+    return {k: edge for k, edge in known if edge is not None}
+
+
+def _seam(
+    face: FaceImage,
+    doors: tuple[Part, Part],
+    about: tuple[float, float],
+    upright: Float32[np.ndarray, "h w"],
+) -> float | None:
+    """Find a line near two places over most of the height of two doors; None if there is none."""
+    h, w = upright.shape
+    near = SEARCH_RADIUS / face.width
+    left, right = min(about) - near, max(about) + near
+    start = max(int(left * w), 0)
+    tops, bottoms = zip(*((door.box[1], door.box[3]) for door in doors), strict=True)
+    rows = slice(int(max(tops) * h), int(min(bottoms) * h))
+    lines = upright[rows, start : int(np.ceil(right * w)) + 1]
+    if not lines.size:
+        return None
+    contrast = np.median(lines, axis=0)
+    place = (start + int(contrast.argmax()) + 0.5) / w
+    return place if contrast.max() > MIN_CONTRAST else None
+
+
+def _between(door: Part, left: float, right: float) -> Part | None:
+    """Return a door with other sides; None if it changes too much or loses its handle."""
+    handle = door.handle
+    off = abs((right - left) / max(_width(door), 1e-9) - 1.0)
+    if off > MAX_WIDTH_CHANGE or (
+        handle is not None and not left <= (handle[0] + handle[2]) / 2 <= right
+    ):
+        return None
+    return replace(door, box=(left, door.box[1], right, door.box[3]))
+
+
+def _width(part: Part) -> float:
+    return part.box[2] - part.box[0]
+
 
 ViewMethod = Literal["voting", "first"]
 SURROUNDINGS = (0.03, 0.1)

@@ -17,7 +17,6 @@ import numpy as np
 from momapos.core.geometry import UprightBox, apply
 from momapos.model.records import Frame, Part
 
-from .even_doors import equalize_doors
 from .faces import Face, box_faces, camera_position_of, face_image
 from .front_view import (
     MAX_MERGED,
@@ -26,10 +25,10 @@ from .front_view import (
     FrontDetector,
     KnownFront,
     choose_frames,
+    equalize_doors,
     front_evidence,
 )
-from .placed_parts import most_confident, shift_handles, transferred
-from .projection import projection
+from .placed_parts import most_confident, projection, shift_handles, transferred
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -1,9 +1,12 @@
-"""Plan for arms of fewer than six degrees of freedom, whose hand may turn about its grasp.
+"""Plan for arms with fewer or more joints than a tool pose needs.
 
 Such an arm reaches few tool poses exactly, so it can hardly move a rigid grasp along an arc. If the
 hand may turn about the bar that it holds, the turn becomes an additional joint without links, which
 inverse kinematics solves like the others. Along a straight line such an arm can also move a rigid
 grasp, but only from base poses on a curve: samples are moved to that curve.
+
+The path search chooses a posture at each waypoint, so that joints turn back and forth between them
+while the tool moves evenly; the arm would stop at each turn.
 """
 
 from __future__ import annotations
@@ -18,13 +21,14 @@ from momapos.core.geometry import wrap_angle
 from momapos.model.collision import FREE, CollisionWorld
 from momapos.model.kinematics import build_ik, fit_bases, promising_bases, with_tool_turn
 from momapos.model.robots import Robot
-from momapos.planning.grasps import TaskMotion, no_turning
+from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
 
-from .arm_models import ArmModel, TurningArm
-from .arm_path import UNREACHABLE, ArmPath, find_paths
+from .arm_path import UNREACHABLE, ArmPath, find_paths, follow
+from .ik_layers import ArmModel, TurningArm
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
 
 MAX_OFFSET, MAX_TURN = 0.008, float(np.radians(0.8))
 """Maximum distance of a base pose to one from which the arm follows exactly [m], [rad]; a drive
@@ -195,3 +199,41 @@ def _arm_about(robot: Robot, axis: tuple[float, ...], ends: tuple[float, ...]) -
     wider = replace(robot.chain, lower=robot.chain.lower - slack, upper=robot.chain.upper + slack)
     chain = with_tool_turn(wider, np.array(axis), ends[0], ends[1])
     return TurningArm(robot, chain, build_ik(chain))
+
+
+SPREADS = (6.0, 3.0)
+"""Standard deviations of the filter that are tried, in steps. Waypoints are four steps apart."""
+
+
+def smooth_posture(arm: ArmModel, q: Float[np.ndarray, "d n"]) -> Float[np.ndarray, "d n"] | None:
+    """Return states with the same tool poses and ends whose joints move more evenly.
+
+    Args:
+        arm: The arm.
+        q: States, close together.
+
+    Returns:
+        The states; None for an arm without spare joints, or if it does not get there.
+    """
+    if arm.chain.size <= FULL_DOF or len(q) < 4:
+        return None
+    targets = arm.chain.tool_poses(q)
+    for spread in SPREADS:
+        near = np.clip(_smoothed(q, spread), arm.chain.lower, arm.chain.upper)
+        found = follow(arm, near, targets)
+        if found is not None:
+            found[[0, -1]] = q[[0, -1]]
+            return found
+    return None
+
+
+def _smoothed(q: Float[np.ndarray, "d n"], spread: float) -> Float[np.ndarray, "d n"]:
+    """Filter states by a Gaussian that ends at four standard deviations (`spread`, in steps)."""
+    radius = int(4 * spread)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / spread) ** 2)
+    more = min(len(q) - 1, radius)
+    # Reflected at its ends, the path keeps them.
+    padded = np.pad(q, ((more, more), (0, 0)), mode="reflect", reflect_type="odd")
+    padded = np.pad(padded, ((radius - more,) * 2, (0, 0)), mode="symmetric")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, len(weights), axis=0)
+    return np.asarray(windows @ (weights / weights.sum()))

@@ -1,14 +1,24 @@
-"""Solve for arm configurations at the waypoints, for many pairs of base pose and grasp mode."""
+"""Solve for arm states at the waypoints, for many pairs of base pose and grasp mode."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
+from momapos.core import InputError
 from momapos.core.compiled import B1, F1, F2, F3, F4, I1, I2, entry, kernel
-from momapos.model.collision import FREE, CollisionWorld, check_one, collision_arrays, scratch_of
+from momapos.core.geometry import apply, invert, pose_planar, rotation
+from momapos.model.collision import (
+    FREE,
+    CollisionWorld,
+    HandLoad,
+    check_one,
+    collision_arrays,
+    scratch_of,
+)
 from momapos.model.kinematics import (
     COARSE,
     MAX_BRANCHES,
@@ -16,10 +26,12 @@ from momapos.model.kinematics import (
     Chain,
     ChainArrays,
     CollisionArrays,
+    IkModel,
     LoadArrays,
     TaskState,
     arm_arrays,
     begin_pose,
+    build_ik,
     chain_arrays,
     ik_scratch,
     load_excess,
@@ -28,17 +40,243 @@ from momapos.model.kinematics import (
     sample_count,
     solve_sample,
     state_loads,
+    with_base_slides,
 )
-from momapos.model.robots import Robot
+from momapos.model.records import InverseKinematics
+from momapos.model.robots import Robot, RobotLoads, StateLoads, robot_loads
 from momapos.planning.grasps import TaskMotion
 
-from .arm_models import ArmModel, robot_of, slides_of, standing_arm
 from .hand_clearance import arm_spheres
-from .own_ik import copy_states, own_states
-from .task_loads import load_arrays
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
+
+_MAX_MISS = 1e-3
+"""How far a state may miss its tool pose, in every entry of the pose [-] or [m]. The planner's
+Newton steps remove smaller errors; a larger one is a solver for another arm or frame."""
+_ROUNDING = 1e-6
+"""A state may exceed a limit by this [rad] or [m]."""
+
+
+def own_states(
+    solve: InverseKinematics,
+    chain: Chain,
+    bases: Float[np.ndarray, "j d 3"],
+    grasps: Int[np.ndarray, "j k"],
+    steps: Int[np.ndarray, " l"],
+    Ts_world_tool: Float[np.ndarray, "g s 4 4"],
+) -> Float[np.ndarray, "r b n"]:
+    """Return the states within limits for each job, step and grasp; NaN where there is none.
+
+    Args:
+        solve: The inverse kinematics.
+        chain: The arm.
+        bases: Base pose of each job, one for all steps or one for each.
+        grasps: Grasps of each job, padded with -1.
+        steps: Steps of the motion that are solved.
+        Ts_world_tool: Tool pose of each grasp at every step.
+
+    Raises:
+        InputError: It returns anything but states whose tools are at the poses.
+    """
+    used = np.broadcast_to((grasps >= 0)[:, None], (len(grasps), len(steps), grasps.shape[1]))
+    at = bases[:, np.minimum(steps, bases.shape[1] - 1)]
+    tools = Ts_world_tool[grasps[:, None], steps[:, None]]
+    Ts = (invert(pose_planar(at))[:, :, None] @ tools)[used]
+    found = _checked(solve(Ts.copy()), chain, Ts)
+    states = np.full((used.size, max(1, found.shape[1]), chain.size), np.nan)
+    states[used.ravel(), : found.shape[1]] = found
+    return states
+
+
+def _checked(
+    found: object, chain: Chain, Ts: Float[np.ndarray, "m 4 4"]
+) -> Float[np.ndarray, "m b n"]:
+    """Return states with those beyond the limits removed, after a check of their tool poses."""
+    states = np.array(found, float) if isinstance(found, np.ndarray) else np.empty(0)
+    if states.ndim != 3 or (states.shape[0], states.shape[2]) != (len(Ts), chain.size):
+        raise InputError(
+            f"inverse kinematics must return an array of shape ({len(Ts)}, b, {chain.size}), b "
+            f"states for each of {len(Ts)} tool poses, not {getattr(found, 'shape', type(found))}"
+        )
+    known = ~np.isnan(states).any(2)
+    states[~known] = np.nan
+    pose, _ = np.nonzero(known)
+    miss = np.abs(chain.tool_poses(states[known]) - Ts[pose]).max(initial=0.0)
+    if not miss <= _MAX_MISS:
+        raise InputError(
+            f"inverse kinematics returned a state whose tool misses its pose by {miss:.2g}; at "
+            f"most {_MAX_MISS:g} is allowed (m, or entries of the rotation matrix)"
+        )
+    beyond = (states < chain.lower - _ROUNDING) | (states > chain.upper + _ROUNDING)
+    states[beyond.any(2)] = np.nan
+    return np.clip(states, chain.lower, chain.upper)
+
+
+@kernel
+def copy_states(states, into):
+    """Copy the rows without NaN; return their number."""
+    count = 0
+    for b in range(len(states)):
+        if not np.isnan(states[b, 0]):
+            into[count] = states[b]
+            count += 1
+    return count
+
+
+@dataclass(frozen=True, eq=False)
+class TurningArm:
+    """A robot's arm whose last degree of freedom is the turn of its hand about the grasp."""
+
+    robot: Robot
+    chain: Chain
+    """Kinematic chain, including the turn."""
+    ik: IkModel
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingArm:
+    """An arm whose first degrees of freedom are slides of the base, without turning."""
+
+    arm: Robot | TurningArm
+    directions: Float[np.ndarray, "k 3"]
+    """Unit directions in the frame of the base."""
+    travel: float
+    """How far the base slides to either side [m]."""
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Return the kinematic chain, slides first."""
+        return with_base_slides(self.arm.chain, self.directions, self.travel)
+
+    @cached_property
+    def ik(self) -> IkModel:
+        """Return the inverse kinematics of slides and arm."""
+        return build_ik(self.chain)
+
+
+ArmModel: TypeAlias = Robot | TurningArm | DrivingArm
+
+
+def robot_of(arm: ArmModel) -> Robot:
+    """Return the robot of an arm."""
+    if isinstance(arm, Robot):
+        return arm
+    return arm.robot if isinstance(arm, TurningArm) else robot_of(arm.arm)
+
+
+def standing_arm(arm: ArmModel) -> Robot | TurningArm:
+    """Return the arm without the slides of its base."""
+    return arm.arm if isinstance(arm, DrivingArm) else arm
+
+
+def slides_of(arm: ArmModel) -> Float[np.ndarray, "k 3"]:
+    """Return the directions in which the base slides; none if it stands."""
+    return arm.directions if isinstance(arm, DrivingArm) else np.zeros((0, 3))
+
+
+def split_states(
+    arm: ArmModel, base: Float[np.ndarray, "*d 3"], states: Float[np.ndarray, "d n"]
+) -> tuple[Float[np.ndarray, "d 3"], Float[np.ndarray, "d m"]]:
+    """Return the base pose at each state, and the states of the arm on it.
+
+    Args:
+        arm: The arm.
+        base: Base pose without the slides, one for all states or one for each.
+        states: Values of all degrees of freedom.
+    """
+    slides = slides_of(arm)
+    poses = np.array(np.broadcast_to(base, (len(states), 3)))
+    if len(slides):
+        R = rotation(poses[:, 2])
+        poses[:, :2] += np.einsum("dij,dj->di", R, states[:, : len(slides)] @ slides[:, :2])
+    return poses, states[:, len(slides) :]
+
+
+def hand_poses(
+    arm: Robot | TurningArm,
+    bases: Float[np.ndarray, "d 3"],
+    states: Float[np.ndarray, "d n"],
+    Ts_world_tool: Float[np.ndarray, "d 4 4"],
+) -> Float[np.ndarray, "d 4 4"]:
+    """Return the tool poses in the world: the given ones, or those of the turned hand."""
+    if not isinstance(arm, TurningArm):
+        return Ts_world_tool
+    return pose_planar(bases) @ arm.robot.chain.tool_poses(states[:, :-1])
+
+
+@dataclass(frozen=True, eq=False)
+class TaskLoads:
+    """The loads of a robot at the states of a task."""
+
+    robot: Robot
+    motion: TaskMotion
+
+    @cached_property
+    def limits(self) -> RobotLoads:
+        """Return the robot's masses, effort limits and wheels."""
+        return robot_loads(self.robot)
+
+    def at(
+        self,
+        base: Float[np.ndarray, "*s 3"],
+        q: Float[np.ndarray, "s n"],
+        grasp: int,
+        steps: Int[np.ndarray, " s"],
+    ) -> StateLoads:
+        """Return the loads at steps of the motion.
+
+        Args:
+            base: Base pose x [m], y [m], yaw [rad], or one at each state.
+            q: Values of the degrees of freedom; further ones are ignored.
+            grasp: The grasp.
+            steps: The step of the motion at each state.
+        """
+        force, point = (x[grasp, steps] for x in self.motion.hand_loads)
+        turned, moved, R = force.copy(), point.copy(), rotation(base[..., 2])
+        moved[:, :2] -= base[..., :2]
+        turned[:, :2], moved[:, :2] = ((x[:, None, :2] @ R)[:, 0] for x in (force, moved))
+        return self.limits.at(q[:, : self.robot.chain.size], turned, moved)
+
+    def free(
+        self, q: Float[np.ndarray, "s n"], carried: tuple[int, int] | None = None
+    ) -> StateLoads:
+        """Return the loads of a free motion of the arm.
+
+        Args:
+            q: Values of the degrees of freedom.
+            carried: The grasp and a step of the motion at which the hand holds the object that it
+                carries; None for an empty hand.
+        """
+        if carried is None:
+            return self.limits.at(q)
+        hand = self.of_hand(carried)
+        T_base_tool = self.robot.chain.tool_poses(q)
+        points = T_base_tool[:, :3, :3] @ hand.in_tool + T_base_tool[:, :3, 3]
+        return self.limits.at(q, np.tile(hand.force, (len(q), 1)), points)
+
+    def of_hand(self, carried: tuple[int, int] | None) -> HandLoad:
+        """Return what the arm bears in a free motion, see `free`."""
+        if carried is None:
+            return HandLoad(self.limits.arrays, np.zeros(3), np.zeros(3))
+        force, point = (x[carried] for x in self.motion.hand_loads)
+        in_tool = apply(invert(self.motion.Ts_world_tool[carried]), point[None])[0]
+        return HandLoad(self.limits.arrays, np.array(force), in_tool)
+
+
+def load_arrays(arm: ArmModel) -> LoadArrays:
+    """Return an arm's masses and limits for kernels; a turn of the hand needs nothing."""
+    arrays, chain = robot_loads(robot_of(arm)).arrays, standing_arm(arm).chain
+    more = chain.last + 1 - len(arrays.mass)
+    if not more:
+        return arrays
+    return arrays._replace(
+        mass=np.append(arrays.mass, np.zeros(more)),
+        center=np.vstack([arrays.center, np.zeros((more, 3))]),
+        limit=np.append(arrays.limit, np.full(more, np.inf)),
+    )
+
 
 MAX_STEP = 0.8
 """Largest joint step between waypoints [rad]."""

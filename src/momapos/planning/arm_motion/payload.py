@@ -1,7 +1,8 @@
-"""Collision checks of an object in the hand."""
+"""Collision checks of an object in the hand, and the boxes near a motion."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,19 +12,23 @@ from momapos.model.collision import (
     FREE,
     CollisionWorld,
     Spheres,
+    base_hits,
     box_spheres,
+    build_world,
     carry,
     check,
     place_segments,
 )
 from momapos.model.kinematics import chain_arrays
+from momapos.model.records import Motion
 from momapos.model.robots import Robot
+from momapos.model.urdf import Boxes, MovingBoxes
 from momapos.planning.grasps import TaskMotion
 
-from .task_loads import TaskLoads
+from .ik_layers import TaskLoads
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 
 SAMPLES = 2048
@@ -122,3 +127,74 @@ def carrying_states(
     )  # fmt: skip
     q = q[codes == FREE]
     return q[~TaskLoads(robot, motion).free(q, (grasp, 0)).refused] if len(q) else q
+
+
+_ORIGIN = np.zeros((1, 3))
+
+
+def boxes_near_swept_volume(
+    motion: TaskMotion, boxes: Boxes, *, margin: float
+) -> Bool[np.ndarray, " b"]:
+    """Find the boxes (world frame) within a margin [m] of the moving part, for any robot."""
+    sweep = motion.sweep()
+    return _every(boxes, lambda left: base_hits(_ORIGIN, sweep, left, clearance=margin))
+
+
+def boxes_near_base(
+    robot: Robot, base: Float[np.ndarray, "3"], boxes: Boxes, *, margin: float
+) -> Bool[np.ndarray, " b"]:
+    """Find the boxes within a margin [m] of the base at x [m], y [m], yaw [rad]."""
+    return _every(boxes, lambda left: base_hits(base[None], robot.base, left, clearance=margin))
+
+
+def near_boxes(
+    robot: Robot,
+    motion: TaskMotion,
+    base: Float[np.ndarray, "3"],
+    found: Motion,
+    boxes: Boxes,
+    *,
+    margin: float,
+) -> Bool[np.ndarray, " b"]:
+    """Find the boxes near a planned motion; collision spheres stand for the arm.
+
+    Args:
+        robot: The robot.
+        motion: The task motion.
+        base: Base pose x [m], y [m], yaw [rad].
+        found: The planned motion.
+        boxes: In the world frame.
+        margin: Distance up to which a box is near [m].
+    """
+    home = found.q[:0] if found.home is None else found.home
+    q = np.concatenate([found.approach, found.q, home])
+    bases, none = np.tile(base, (len(q), 1)), np.zeros(len(q), np.int64)
+    spheres = robot.spheres
+    if motion.task.verb == "place":
+        spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
+    nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
+
+    def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:
+        labels, free = [""] * len(left), np.zeros(0, bool)
+        world = build_world(left, nothing, free, labels, spheres, clearance=margin)
+        return check(world, robot.chain, spheres, q, bases, none, none > 0)
+
+    return (
+        boxes_near_base(robot, base, boxes, margin=margin)
+        | boxes_near_swept_volume(motion, boxes, margin=margin)
+        | _every(boxes, arm_hits)
+    )
+
+
+def _every(
+    boxes: Boxes, first_hits: Callable[[Boxes], Int[np.ndarray, " m"]]
+) -> Bool[np.ndarray, " b"]:
+    """Find all boxes that are hit, using a check that reports only the first hit."""
+    left = np.arange(len(boxes))
+    while len(left):
+        codes = first_hits(boxes.take(left))
+        hit = np.unique(codes[codes >= 0])
+        if not len(hit):
+            break
+        left = np.delete(left, hit)
+    return ~np.isin(np.arange(len(boxes)), left)

@@ -20,11 +20,10 @@ from momapos.planning.refine_model import initial_selection
 from momapos.planning.result import PlacementResult
 from momapos.planning.search_setup import SearchSetup, prepare_search
 
-from .authors_placer import AuthorsPlacer
 from .habitat_placer import habitat
 from .m3_placer import m3
 from .map_placers import reuleaux, rm4d
-from .paper_placer import PaperPlacer
+from .paper_placer import AuthorsPlacer, PaperPlacer
 from .placer_room import BasePlacer, PlacerRoom
 from .samplers import behavior, momagen, pycram
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,10 +14,6 @@ from momapos.core.geometry import apply
 from momapos.model.scene import SceneObject
 from momapos.model.urdf import Articulated, fit_box, opening_of, opens_both_ways
 
-from .front_strips import Strip, strips_of
-from .fronts import free_edges, front_part, panel_normal
-from .handle_core import MAX_HELD_DEPTH, HandleKind, core_of
-from .handle_records import Handle, HandleSource
 from .handle_shapes import (
     MIN_PROTRUSION,
     PANEL_SHARE,
@@ -25,6 +22,7 @@ from .handle_shapes import (
     clusters,
     corners,
     front_along,
+    front_area,
     in_pieces,
     longest_name,
     model_of,
@@ -37,11 +35,359 @@ from .handle_shapes import (
     protrusions,
     rigid_links,
     visual_elements,
+    widest,
 )
 from .part_motion import lever_arms, motion_direction, part_path
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
+
+
+MAX_HELD_DEPTH = 0.04
+"""Only the outer end of a deeper handle is grasped [m]."""
+FINGER_SPACE = 0.008
+"""Space for a finger behind a handle [m]."""
+_CORE_LEVELS = 41
+"""Samples of the space behind a handle [-]."""
+_MAX_GAP = 1e-4
+"""Elements with a smaller gap are one body [m]."""
+
+
+class HandleKind(StrEnum):
+    """The kind of a handle; plans contain the words."""
+
+    BAR = "bar"
+    """Long, with space behind it."""
+    KNOB = "knob"
+    LEVER = "lever"
+    """A bar that is fixed at one end."""
+    LIP = "lip"
+    """Long, without space behind it."""
+    RECESS = "recessed pull"
+    """A strip of the front itself, next to a pocket or a groove."""
+    EDGE = "edge"
+    """The free edge of a panel without a handle."""
+    FACE = "face"
+    """The front of a panel, for pushing or suction."""
+
+
+@dataclass(frozen=True)
+class Core:
+    """The part of a handle that a hand grasps, without its fixings."""
+
+    shift: float
+    """Offset from the middle of the whole handle outwards [m]."""
+    depth: float
+    """Size along the outward direction [m]."""
+    kind: HandleKind
+
+
+def core_of(
+    center: Float[np.ndarray, "3"],
+    half_long: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "3"],
+    half_out: float,
+    group: list[Element],
+    others: list[Element],
+) -> Core:
+    """Find the solid outer part of a handle, and classify it by the space behind it.
+
+    Args:
+        center: Middle of the handle.
+        half_long: Vector from there to its end.
+        out: Outward unit vector.
+        half_out: Half the size along `out` [m].
+        group: Elements of the handle.
+        others: Elements of the rest of the part.
+    """
+    top = half_out + FINGER_SPACE
+    solid = _spans(group, center + top * out, -out)
+    covered = _spans(others, center + top * out, -out)
+    first = solid[:, 0].min(initial=np.inf)
+    if not np.isfinite(first):
+        return Core(0.0, 2 * half_out, HandleKind.BAR)
+    last = first
+    for begin, end in solid[np.argsort(solid[:, 0])]:
+        last = max(last, end) if begin <= last + _MAX_GAP else last
+    inside = covered[covered[:, 0] > first, 0].min(initial=np.inf)
+    depth = min(last - first, inside - first, MAX_HELD_DEPTH)
+    shift = top - first - depth / 2
+    kind = _kind_of(center, half_long, out, half_out, float(first), [*group, *others])
+    return Core(float(shift), float(depth), kind)
+
+
+def _spans(
+    elements: list[Element], origin: Float[np.ndarray, "3"], direction: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "n 2"]:
+    """Return where a line enters and leaves the elements that it hits [m]."""
+    spans = [e.convex.span(origin, direction) for e in elements]
+    return np.array([span for span in spans if span[0] < span[1]]).reshape(-1, 2)
+
+
+def _kind_of(
+    center: Float[np.ndarray, "3"],
+    half_long: Float[np.ndarray, "3"],
+    out: Float[np.ndarray, "3"],
+    half_out: float,
+    first: float,
+    elements: list[Element],
+) -> HandleKind:
+    """Classify a bar, lever or lip by the space behind its middle and its ends.
+
+    Args:
+        center, half_long, out, half_out: See `core_of`.
+        first: Where the handle begins, measured from `FINGER_SPACE` outside its outer side [m].
+        elements: All elements of the part.
+    """
+    levels = np.linspace(half_out + FINGER_SPACE - first, -half_out - FINGER_SPACE, _CORE_LEVELS)
+    step = float(levels[0] - levels[-1]) / (_CORE_LEVELS - 1)
+    shares = np.array([-0.95, -0.5, 0.0, 0.5, 0.95])
+    points = center + shares[:, None, None] * half_long + levels[:, None] * out
+    free = ~_filled(elements, points)
+    if free[1:4].all(0).sum() * step < FINGER_SPACE:
+        return HandleKind.LIP
+    ends = free[[0, 4]].sum(1) * step >= FINGER_SPACE
+    return HandleKind.LEVER if ends[0] != ends[1] else HandleKind.BAR
+
+
+def _filled(elements: list[Element], points: Float[np.ndarray, "k n 3"]) -> Bool[np.ndarray, "k n"]:
+    """Check which points lie inside an element."""
+    filled = np.zeros(points.shape[:-1], bool)
+    for element in elements:
+        filled |= element.convex.depth(points) > -1e-6
+    return filled
+
+
+class HandleSource(StrEnum):
+    """How a handle was found; plans contain the words."""
+
+    NAME = "name"
+    SHAPE = "shape"
+    EDGE = "edge"
+
+
+@dataclass(frozen=True, eq=False)
+class Handle:
+    """A handle, edge or face to grasp or push, in the frame of the link that carries it."""
+
+    carrier: str
+    """The link that carries it: the joint's child, or that of one of its mimic joints."""
+    center: Float[np.ndarray, "3"]
+    """Middle of the whole handle [m]."""
+    grip: Float[np.ndarray, "3"]
+    """Middle of the part that a hand closes on, without fixings [m]."""
+    long: Float[np.ndarray, "3"]
+    """Unit vector along the handle."""
+    out: Float[np.ndarray, "3"]
+    """Unit vector from the part toward the hand, perpendicular to `long`."""
+    half_length: float
+    """Half the length along `long` [m]."""
+    thickness: float
+    """Size across, which the fingers must span [m]."""
+    depth: float
+    """Size along `out` of the part that a hand closes on [m]."""
+    found: HandleSource
+    kind: HandleKind
+    name: str
+    """Name of its link or shape, or of the panel without a handle."""
+    elements: tuple[Element, ...]
+    """Elements that the pads may touch."""
+    in_pieces: bool = False
+    """Whether collision checks use convex pieces of the part's meshes instead of their hulls."""
+    whole: bool = False
+    """Whether the part is nothing but this handle, as the lever of a tap."""
+
+    @property
+    def knob(self) -> bool:
+        """Whether this is a knob."""
+        return self.kind is HandleKind.KNOB
+
+    @property
+    def edge(self) -> bool:
+        """Whether this is a free edge."""
+        return self.kind is HandleKind.EDGE
+
+    def __str__(self) -> str:
+        how = {
+            HandleSource.NAME: f"{self.kind} {self.name!r}, by its name",
+            HandleSource.SHAPE: f"{self.kind} {self.name!r}, by its shape",
+            HandleSource.EDGE: f"the {self.kind} of {self.name!r}, which has no handle",
+        }
+        return how[self.found]
+
+
+MAX_WIDTH = 0.06
+"""Maximum size of a strip across its long axis [m]."""
+MIN_LENGTH = 0.02
+"""Minimum length of a strip [m]."""
+APPROACH_LENGTH = 0.06
+"""Length of the straight approach that must be free [m]."""
+_SHARES = np.array([-0.5, 0.0, 0.5])
+_STEPS = 9
+_MIN_COSINE = 0.9
+"""Cosine above which directions count as the same [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """A piece that two fingers reach around from one side, in the part's frame."""
+
+    element: Element
+    end: Float[np.ndarray, "3"]
+    """Middle of the side that faces the hand [m]."""
+    long: Float[np.ndarray, "3"]
+    out: Float[np.ndarray, "3"]
+    """Unit vectors along the strip (long) and toward the hand (out)."""
+    half_length: float
+    thickness: float
+    depth: float
+    """Half length, size between the fingers, and size toward the hand [m]."""
+
+
+def strips_of(
+    elements: tuple[Element, ...], pieces: tuple[Element, ...], front: Float[np.ndarray, "3"]
+) -> list[Strip]:
+    """Find the narrow pieces of a part with space for a finger on both sides.
+
+    Args:
+        elements: All elements of the part.
+        pieces: The elements that may be grasped.
+        front: Unit normal of the part's front; no hand approaches from behind.
+    """
+    return [s for piece in pieces for s in _sides(piece, front) if _is_graspable(s, elements)]
+
+
+def _sides(piece: Element, front: Float[np.ndarray, "3"]) -> list[Strip]:
+    """Return a strip for each side of a piece from which fingers may approach."""
+    center, rotation, half = fit_box(piece.convex.vertices)
+    order = np.argsort(half)
+    if 2 * half[order[1]] > MAX_WIDTH or 2 * half[order[2]] < MIN_LENGTH:
+        return []
+    long = rotation[:, order[2]]
+    strips = []
+    for out_axis, between in ((order[0], order[1]), (order[1], order[0])):
+        for side in (1.0, -1.0):
+            out = side * rotation[:, out_axis]
+            thick, depth = 2 * float(half[between]), 2 * float(half[out_axis])
+            if out @ front > -_MIN_COSINE:
+                end = center + depth / 2 * out
+                strips.append(Strip(piece, end, long, out, float(half[order[2]]), thick, depth))
+    return strips
+
+
+def _is_graspable(strip: Strip, elements: tuple[Element, ...]) -> bool:
+    """Check that fingers fit on both sides of a strip, at its middle or middle of a half."""
+    across = np.cross(strip.out, strip.long)
+    along = _SHARES[:, None] * strip.half_length * strip.long
+    levels = (
+        np.linspace(-min(FINGER_SPACE, strip.depth), APPROACH_LENGTH, _STEPS)[:, None] * strip.out
+    )
+    near, far = strip.thickness / 2 + 1e-3, strip.thickness / 2 + FINGER_SPACE
+    beside = np.array([-far, -near, near, far])[:, None] * across
+    points = strip.end + along[:, None, None] + levels[:, None] + beside
+    filled = np.zeros(points.shape[:-1], bool)
+    for element in elements:
+        if element is not strip.element:
+            filled |= element.convex.depth(points) > 0.0
+    return bool((~filled).all((1, 2)).any())
+
+
+PUSH_INSET = 0.05
+"""Distance from the free edge at which a door is pushed [m]."""
+EDGE_WIDTH = 0.02
+"""Elements of a panel that end this close to its edge form the edge [m]."""
+
+
+def panel_normal(
+    elements: tuple[Element, ...], part: CarriedPart, sign: float
+) -> Float[np.ndarray, "3"]:
+    """Return the unit normal of a part's front, on the side to which it opens."""
+    opens = motion_direction(part, sign, corners(elements).mean(0))
+    front = widest(elements, opens)
+    center, rotation, _ = part.model.box_around(front.convex.vertices)
+    opens = motion_direction(part, sign, center)
+    normal = rotation[:, int(np.argmax(np.abs(rotation.T @ opens)))]
+    return normal * np.sign(normal @ opens)
+
+
+def free_edges(elements: tuple[Element, ...], part: CarriedPart, sign: float) -> list[Handle]:
+    """Return the edge of a panel farthest from the hinge, or both edges of a drawer's front."""
+    record = next(j for j in part.model.urdf.joints if j.child == part.carrier)
+    opens = motion_direction(part, sign, corners(elements).mean(0))
+    # A drawer has a front and a box behind it; a door may be a frame around a pane.
+    panel = [widest(elements, opens)] if record.kind == "prismatic" else list(elements)
+    center, rotation, half = part.model.box_around(corners(panel))
+    motion = motion_direction(part, sign, center)
+    normal = int(np.argmax(np.abs(rotation.T @ motion)))
+    plane = [k for k in range(3) if k != normal]
+    if record.kind == "prismatic":
+        along = max(plane, key=lambda k: half[k])
+    else:
+        along = max(plane, key=lambda k: abs(float(record.axis @ rotation[:, k])))
+    across = next(k for k in plane if k != along)
+    far = rotation[:, across]
+    signs = [1.0, -1.0]
+    if record.kind != "prismatic":
+        radial = center - record.axis * float(center @ record.axis)
+        signs = [1.0 if far @ radial >= 0 else -1.0]
+    return [
+        _edge(rotation[:, normal], rotation[:, along], s * far, panel, part.carrier) for s in signs
+    ]
+
+
+def _edge(
+    normal: Float[np.ndarray, "3"],
+    along: Float[np.ndarray, "3"],
+    far: Float[np.ndarray, "3"],
+    panel: list[Element],
+    carrier: str,
+) -> Handle:
+    """Return the edge of a panel that lies farthest in a direction."""
+    ends = np.array([(e.convex.vertices @ far).max() for e in panel])
+    rim = [e for e, end in zip(panel, ends, strict=True) if end > ends.max() - EDGE_WIDTH]
+    points = corners(rim)
+    across, length, out = points @ normal, points @ along, points @ far
+    middle = [(x.min() + x.max()) / 2 for x in (across, length)]
+    where = middle[0] * normal + middle[1] * along + ends.max() * far
+    return Handle(
+        carrier, where, where, along, far,
+        float(np.ptp(length)) / 2, float(np.ptp(across)), float(np.ptp(out)),
+        HandleSource.EDGE, HandleKind.EDGE, longest_name(panel), tuple(rim),
+    )  # fmt: skip
+
+
+def front_part(model: Articulated, joint: str, sign: float) -> CarriedPart | None:
+    """Return the part with the widest front, of the links that a joint and its mimic joints move.
+
+    None if they have no collision geometry.
+    """
+    parts = [part for part in parts_moved_by(model, joint) if own_elements(part)]
+    if len(parts) < 2:
+        return parts[0] if parts else None
+
+    def width(part: CarriedPart) -> float:
+        own = own_elements(part)
+        return front_area(own, motion_direction(part, sign, corners(own).mean(0)))
+
+    return max(parts, key=width)
+
+
+def front_face(part: CarriedPart | None, sign: float) -> Handle | None:
+    """Return the front of a part near its free edge; None if it has no collision geometry."""
+    own = () if part is None else own_elements(part)
+    if part is None or not own:
+        return None
+    edge = free_edges(own, part, sign)[0]
+    slides = part.model.joint(part.joint).kind == "prismatic"
+    middle = edge.center - edge.out * (edge.depth / 2 if slides else PUSH_INSET)
+    out = panel_normal(own, part, sign)
+    tops = [float((e.convex.vertices @ out).max()) for e in edge.elements]
+    front = middle + out * (max(tops) - float(middle @ out))
+    return Handle(
+        part.carrier, front, front, edge.long, out, edge.half_length, 0.0, edge.thickness,
+        HandleSource.EDGE, HandleKind.FACE, edge.name, edge.elements,
+    )  # fmt: skip
+
 
 KNOB_ELONGATION = 1.5
 """A handle less elongated than this is a knob, which can be approached at any roll [-]."""

@@ -16,17 +16,20 @@ from momapos.model.urdf import Articulated
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
 from .grasp_families import Grasps, GraspSelection, firmest_first
 from .hand_boxes import Hand, empty_handed, hand_of
-from .handle_shapes import Element, corners
-from .part_grasps import FAMILIES, MIN_OVERLAP, Family, grasp_frames, poses_of
-from .pinch_grasps import (
+from .handle_shapes import Element, convex_of, corners
+from .part_grasps import (
+    FAMILIES,
     HELD_CLEARANCE_SHARE,
+    MIN_OVERLAP,
+    Family,
     advance,
     close_hands,
     contact_of,
+    grasp_frames,
     lifting_capacity,
+    poses_of,
     stands_clear,
 )
-from .swept_boxes import convex_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -22,12 +22,10 @@ from momapos.model.scene import SceneObject, stays_in_place
 
 from .config import GraspConfig
 from .hand_boxes import Hand, hand_of
-from .handle_records import Handle
 from .handle_shapes import Element
-from .motion_record import TaskMotion
-from .part_grasps import FAMILIES, Family, elements_near_handle
-from .pinch_grasps import stands_clear
-from .turning_grasps import Turning
+from .handles import Handle
+from .motion_record import TaskMotion, Turning
+from .part_grasps import FAMILIES, Family, elements_near_handle, stands_clear
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

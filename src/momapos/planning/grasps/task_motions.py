@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import TaskError
+from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import apply, invert
-from momapos.model.records import Task
-from momapos.model.robots import Robot
+from momapos.model.records import Latch, Task
+from momapos.model.robots import Grip, Robot
 from momapos.model.scene import (
+    MotionResistance,
     Scene,
     SceneObject,
     known_resistance,
@@ -20,23 +21,217 @@ from momapos.model.scene import (
     object_mass,
     resistance_along,
 )
-from momapos.model.urdf import Joint, opening_of
+from momapos.model.urdf import Articulated, Boxes, Joint, MovingBoxes, opening_of
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
-from .grasp_families import MIN_LEVER, select_inner_pushes, select_part_grasps
-from .handle_core import HandleKind
-from .handle_records import Handle
+from .grasp_families import MIN_LEVER, GraspSelection, select_inner_pushes, select_part_grasps
+from .hand_boxes import hand_of
 from .handle_shapes import CarriedPart
-from .handles import find_handle, handles_in_turn
-from .latches import PartValues, select_latch_grasps
-from .motion_record import TaskMotion, Weight
-from .part_motion import levers_along
+from .handles import Handle, HandleKind, find_handle, handles_in_turn
+from .motion_record import TaskMotion, Weight, no_turning, turning_about
+from .part_grasps import pinch_capacity
+from .part_motion import lever_arms, levers_along, motion_directions
 from .rigid_grasps import select_object_grasps
-from .task_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
-from .turning_grasps import no_turning, turning_about
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
+
+
+_PARTS = 8
+"""Number of parts of a scene for which the static boxes are cached; a question has a few [-]."""
+Body: TypeAlias = "tuple[Float[np.ndarray, 'v 4 4'], Mapping[str, Float[np.ndarray, '4 4']]]"
+"""A rigid body that moves: its world pose at each value, and the poses of its links in it."""
+
+
+def moving_boxes(
+    target: SceneObject,
+    bodies: Sequence[Body],
+    held: Mapping[str, Collection[int]] | None,
+) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
+    """Return the boxes of the moving links at each value, their labels, and which may be touched.
+
+    Args:
+        target: The object.
+        bodies: The rigid bodies that move, one or more.
+        held: Indices of the grasped collision elements by link; None for all.
+    """
+    found, labels, touched = [], [], [np.zeros(0, bool)]
+    for Ts_world_body, T_body_link in bodies:
+        carried = []
+        for link, T in T_body_link.items():
+            for index, boxes in enumerate(target.model.boxes[link]):
+                element = target.model.static_elements[link][index]
+                label = element.label(link, static=False)
+                carried.append(boxes.moved(T))
+                labels += [f"{target.name}/{label}"] * len(boxes)
+                touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
+        found.append(_along(Boxes.join(carried), Ts_world_body))
+    return MovingBoxes.join(found), labels, np.concatenate(touched)
+
+
+def bodies_moved_by(
+    target: SceneObject,
+    joint: str,
+    values: Float[np.ndarray, " v"],
+    latch: Float[np.ndarray, " v"] | None = None,
+) -> dict[str, Body]:
+    """Return the bodies that a joint and its mimic joints move, by the link that carries each.
+
+    Args:
+        target: The object.
+        joint: Its joint.
+        values: Values of the joint [rad] or [m].
+        latch: Values of the object's latch, if it is turned, too [rad] or [m].
+    """
+    poses, moving = target.link_poses(), target.moving_poses(joint, values, latch)
+    turned = () if target.latch is None or latch is None else (target.latch.joint,)
+    groups = target.model.rigid_groups(joint, *turned)
+    back = {carrier: invert(poses[carrier]) for carrier in dict.fromkeys(groups.values())}
+    return {
+        carrier: (
+            moving[carrier],
+            {link: T @ poses[link] for link, one in groups.items() if one == carrier},
+        )
+        for carrier, T in back.items()
+    }
+
+
+def _along(boxes: Boxes, Ts: Float[np.ndarray, "v 4 4"]) -> MovingBoxes:
+    """Return boxes at each pose of the link that carries them."""
+    R, p = Ts[:, :3, :3], Ts[:, None, :3, 3]
+    return MovingBoxes(
+        np.einsum("vij,mj->vmi", R, boxes.center) + p,
+        np.einsum("vij,mjk->vmik", R, boxes.rotation),
+        np.broadcast_to(boxes.half, (len(R), *boxes.half.shape)).copy(),
+    )
+
+
+def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
+    """Return the indices of the handles' collision elements by link."""
+    held: dict[str, set[int]] = {}
+    for element in (e for handle in handles for e in handle.elements):
+        if element.index is not None:
+            held.setdefault(element.link, set()).add(element.index)
+    return held
+
+
+def scene_boxes(scene: Scene) -> Boxes:
+    """Return all boxes of a scene."""
+    return static_boxes(scene, None, frozenset())[0]
+
+
+@owner_cache(_PARTS)
+def static_boxes(
+    scene: Scene, target: SceneObject | None, moved: frozenset[str]
+) -> tuple[Boxes, tuple[str, ...]]:
+    """Return the boxes of all static links, and their labels, cached for all motions of a part.
+
+    Args:
+        scene: The scene.
+        target: The object with moving links, if any.
+        moved: Names of these links.
+    """
+    found: list[Boxes] = []
+    labels: list[str] = []
+    for item in scene.objects:
+        for link, boxes in item.static_boxes.items():
+            if item is not target or link not in moved:
+                found.append(boxes)
+                labels += item.static_labels(link)
+    return Boxes.join(found), tuple(labels)
+
+
+@dataclass(frozen=True, eq=False)
+class PartValues:
+    """Values of a part's joint, and of its latch, at the steps of a manipulation."""
+
+    part: Float[np.ndarray, " v"]
+    """[rad] or [m]"""
+    latch: Float[np.ndarray, " v"] | None = None
+    """[rad] or [m]; None if no latch is turned."""
+
+    def after_turn(self, latch: Float[np.ndarray, " u"]) -> PartValues:
+        """Return the values with a latch that is turned first; the part rests meanwhile.
+
+        Args:
+            latch: Values of the latch.
+        """
+        part = np.concatenate([np.full(len(latch) - 1, self.part[0]), self.part])
+        return PartValues(part, np.append(latch, np.full(len(self.part) - 1, latch[-1])))
+
+    @property
+    def waypoints(self) -> int:
+        """Number of waypoints, `SUBSTEPS` steps apart."""
+        return (len(self.part) - 1) // SUBSTEPS + 1
+
+
+def select_latch_grasps(
+    robot: Robot,
+    target: SceneObject,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    resistance: MotionResistance,
+    turn: tuple[Latch, Float[np.ndarray, " u"]],
+    config: GraspConfig,
+    excluded: Collection[Handle] = (),
+) -> GraspSelection:
+    """Select the grasps by which a hand turns a latch and then moves the part that it held.
+
+    The hand closes on the latch: what only touches one side of it, as a hook does, turns it and
+    does not pull.
+
+    Args:
+        robot: The robot.
+        target: The object.
+        model: Its model, see `SceneObject.posed_model`.
+        joint: The joint of the part.
+        sign: Its opening direction (+1 or -1).
+        resistance: Resistance of the part.
+        turn: The latch, and its values.
+        config: The grasps to try.
+        excluded: Handles to skip; not all of the latch's.
+    """
+    latch, values = turn
+    chosen = select_part_grasps(
+        robot, model, joint, sign, resistance, closes=False, config=config, excluded=excluded,
+        latch=model.joint(latch.joint).child,
+    )  # fmt: skip
+    if chosen.reason:
+        return chosen
+    hand, part = hand_of(robot), CarriedPart.of(model, latch.joint)
+    if robot.grips is not Grip.FINGERS or not hand.closes:
+        return replace(
+            chosen, reason=f"{robot.name} has no hand that closes on {part.carrier}, to turn it "
+            f"and then pull by it",
+        )  # fmt: skip
+    R, p = chosen.Ts_part_tool[:, :3, :3], chosen.Ts_part_tool[:, :3, 3]
+    point = p + hand.pad_middle * (R @ hand.approach)
+    way = motion_directions(part, float(np.sign(values[-1] - values[0])), point)[0]
+    lean = np.abs(np.einsum("gi,gi->g", R @ hand.closing, way))
+    capacity = pinch_capacity(robot.grip_force, config.friction, lean)
+    levers = np.maximum(lever_arms(part, point), MIN_LEVER)
+    if model.joint(latch.joint).kind != "prismatic":
+        # Both pads turn a knob on whose axis the hand is: each is half the width away from it.
+        axis = model.joint(latch.joint).axis
+        across = np.linalg.norm(np.cross(R @ hand.closing, axis), axis=1)
+        levers = np.hypot(levers, across * chosen.grasps.width / 2)
+    usual = float(np.median(levers))
+    resists = resistance_along(target, latch.joint, values, usual, config.resistance)
+    need = config.grasp_margin * resists.largest / levers
+    strong = capacity >= need
+    if not strong.any():
+        best = int(np.argmax(capacity / need))
+        why = resists.source(int(resists.total.argmax()))
+        return replace(
+            chosen, reason=f"{robot.name} holds {part.carrier} with {capacity[best]:.0f} N at "
+            f"most, and {need[best]:.0f} N are needed to turn it"
+            f"{why and f' ({why})'}",
+        )  # fmt: skip
+    return GraspSelection(
+        chosen.Ts_part_tool[strong], chosen.grasps.take(strong), "", chosen.better_handle_reason
+    )
+
 
 LIFT_HEIGHT = 0.05
 """Height by which a rigid object is lifted [m]."""

@@ -2,9 +2,9 @@ from .config import WALKERS as WALKERS
 from .config import ImportanceConfig as ImportanceConfig
 from .config import ScorerName as ScorerName
 from .config import WeightsName as WeightsName
-from .key_objects import Selection as Selection
-from .key_objects import everything as everything
-from .key_objects import start_of as start_of
 from .ranking import Importance as Importance
+from .ranking import Selection as Selection
+from .ranking import everything as everything
 from .ranking import rank as rank
-from .relations import KINDS as KINDS
+from .ranking import start_of as start_of
+from .scene_graph import KINDS as KINDS

@@ -1,14 +1,16 @@
-"""Rank the objects of a scene by their importance for a task with one of them."""
+"""Rank the objects of a scene by their importance for a task, and grow the set S of key objects."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import InputError, expect, finite_array, whole_number
+from momapos.model.records import KeyObjects
 from momapos.model.scene import Scene
 from momapos.planning.grasps import hand_path
 
@@ -18,6 +20,7 @@ from .scorers import MIN_SCORE, SCORERS
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
 
 DIGITS = 6
 """Decimals of a score [-]."""
@@ -157,3 +160,56 @@ def rank(
         graph=graph,
         exceed=bool(config.exceed),
     )
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The objects that have a kinematic model; all others are boxes."""
+
+    ranked: Importance
+    alpha: float
+    """Current threshold [-]."""
+    joined: frozenset[str] = frozenset()
+    """Objects that a check has added, regardless of their score."""
+    rounds: int = 0
+    """Number of times that a plan was checked again because objects were added [-]."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """S, most important first."""
+        scored = set(self.ranked.selected(self.alpha))
+        return tuple(n for n in self.ranked.names if n in scored or n in self.joined)
+
+    @property
+    def boxes(self) -> tuple[str, ...]:
+        """All other objects, most important first."""
+        chosen = set(self.names)
+        return tuple(n for n in self.ranked.names if n not in chosen)
+
+    def join(self, names: Iterable[str]) -> Selection:
+        """Return the selection with more objects, regardless of their score."""
+        return replace(self, joined=self.joined | frozenset(names))
+
+    def relax_alpha(self) -> Selection:
+        """Lower alpha until S is twice as large or contains all objects (MoMa-Pos, Lemma 1)."""
+        wanted = min(2 * len(self.names), len(self.ranked.names))
+        for score in self.ranked.scores:
+            lower = replace(self, alpha=min(self.alpha, float(score)))
+            if len(lower.names) >= wanted:
+                return lower
+        return replace(self, alpha=0.0)
+
+    def record(self) -> KeyObjects:
+        """Return the record for the plan."""
+        ranked = self.ranked
+        return KeyObjects(ranked.scorer, self.alpha, self.names, ranked.by_name, self.rounds)
+
+
+def everything(ranked: Importance) -> Selection:
+    """Select all objects."""
+    return Selection(ranked, 0.0)
+
+
+def start_of(ranked: Importance) -> Selection:
+    """Select the objects above the configured threshold."""
+    return Selection(ranked, ranked.alpha)

@@ -1,26 +1,381 @@
-"""Scorers of objects relative to a target, all with the same signature."""
+"""Scorers of objects relative to a target, all with the same signature.
+
+The training is a kernel of plain arithmetic in a fixed order, so that a seed gives the same vectors
+on every machine. A BLAS sums in an order that depends on the processor, and the chain of small
+updates amplifies its rounding to 2e-4 in the cosine (measured with gensim, one worker).
+"""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from momapos.core import InputError
+from momapos.core import FileFormatError, InputError, open_regular
+from momapos.core.compiled import F1, F2, I1, entry, kernel
 from momapos.model.scene import builtin_names, load_scene
 
 from .config import ImportanceConfig
-from .embedding import SkipGram, cosine, embed_walks, embed_words
-from .random_walks import authors_transitions, transitions, walk
-from .scene_graph import SceneGraph
-from .word_vectors import read_word_vectors
+from .scene_graph import KINDS, SceneGraph
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
+
+
+MAX_LINE = 1 << 16
+"""Longest line [bytes]: a word and several thousand numbers."""
+MAX_SHOWN = 40
+"""Number of characters of a word that messages show [-]."""
+
+
+def read_word_vectors(path: Path, wanted: Collection[str]) -> dict[str, Float[np.ndarray, " d"]]:
+    """Read the vectors of some words in one pass, without loading the whole file.
+
+    Args:
+        path: File with a word and its numbers per line, separated by spaces. The first line may
+            hold the number of words and of dimensions, as word2vec writes it.
+        wanted: Words in lower case.
+
+    Returns:
+        Vectors of one length by word, without words that are not in the file.
+
+    Raises:
+        FileFormatError: The file cannot be read, or a line is invalid; the message names the line.
+    """
+    left = {word.encode(): word for word in wanted}
+    found: dict[str, Float[np.ndarray, " d"]] = {}
+    dimensions = None
+    with open_regular(path) as file:
+        number = 0
+        while left and (line := _line(file.readline, path, number + 1)):
+            number += 1
+            first, _, rest = line.rstrip().partition(b" ")
+            if number == 1 and first.isdigit() and rest.isdigit():
+                continue  # the header of word2vec
+            if dimensions is None:
+                dimensions = len(rest.split())
+            word = left.pop(first, None)
+            if word is not None:
+                found[word] = _vector(
+                    rest, dimensions, f"{path}, line {number}: {word[:MAX_SHOWN]!r}"
+                )
+    return found
+
+
+def _line(read: Callable[[int], bytes], path: Path, number: int) -> bytes:
+    try:
+        line = read(MAX_LINE)
+    except OSError as error:
+        raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
+    if len(line) >= MAX_LINE:
+        raise FileFormatError(
+            f"{path}, line {number}: longer than {MAX_LINE} bytes; each line must have a word and "
+            "its numbers"
+        )
+    return line
+
+
+def _vector(text: bytes, dimensions: int, where: str) -> Float[np.ndarray, " d"]:
+    try:
+        numbers = [float(part) for part in text.split()]
+    except ValueError as error:
+        raise FileFormatError(f"{where} must be followed by numbers only") from error
+    if not numbers or len(numbers) != dimensions:
+        raise FileFormatError(
+            f"{where} has {len(numbers)} numbers; the file's first word has {dimensions}"
+        )
+    if not all(map(math.isfinite, numbers)):
+        raise FileFormatError(f"{where} has a number that is not finite")
+    return np.array(numbers)
+
+
+LEARNING_RATE = 0.1
+"""Initial learning rate, which decreases to almost 0 [-]; high, because the corpus is small."""
+NEGATIVE = 3
+"""Negative samples per context word [-]."""
+_TABLE = 1 << 17
+_STEP, _SHIFT = np.uint64(6364136223846793005), np.uint64(33)
+_ODD = np.uint64(1442695040888963407)
+
+
+@dataclass(frozen=True)
+class SkipGram:
+    """Parameters of the training."""
+
+    dimensions: int
+    """Length of a vector [-]."""
+    window: int
+    """Number of words before and after that count as context [-]."""
+    epochs: int
+    """Number of passes over the sentences [-]."""
+    seed: int
+
+
+def embed_walks(
+    walks: Int[np.ndarray, "w length"], count: int, config: SkipGram
+) -> Float[np.ndarray, "count d"]:
+    """Train vectors of `count` objects on walks over them (DeepWalk, Perozzi et al. 2014)."""
+    start = np.arange(len(walks) + 1) * walks.shape[1]
+    return _skip_gram(walks.ravel(), start, count, config)
+
+
+def embed_words(
+    sentences: Sequence[Sequence[str]], config: SkipGram
+) -> dict[str, Float[np.ndarray, " d"]]:
+    """Train vectors of words on sentences (Mikolov et al. 2013)."""
+    known = {word: k for k, word in enumerate(dict.fromkeys(w for s in sentences for w in s))}
+    tokens = np.array([known[word] for sentence in sentences for word in sentence], int)
+    start = np.r_[0, np.cumsum([len(sentence) for sentence in sentences])]
+    return dict(zip(known, _skip_gram(tokens, start, len(known), config), strict=True))
+
+
+def _skip_gram(
+    tokens: Int[np.ndarray, " t"], start: Int[np.ndarray, " s_plus_1"], count: int, config: SkipGram
+) -> Float[np.ndarray, "count d"]:
+    """Train skip-gram with negative sampling as word2vec does, without subsampling common words.
+
+    Negative samples are drawn with the frequency to the power 3/4.
+    """
+    rng = np.random.default_rng(config.seed)
+    vectors = (rng.random((count, config.dimensions)) - 0.5) / config.dimensions
+    root = np.sqrt(np.bincount(tokens, minlength=count))
+    share = np.cumsum(root * np.sqrt(root))
+    table = np.searchsorted(share, (np.arange(_TABLE) + 0.5) / _TABLE * share[-1])
+    _train(
+        Text(tokens.astype(np.int64), start.astype(np.int64)),
+        table,
+        Vectors(vectors, np.zeros_like(vectors), np.empty(config.dimensions)),
+        Training(config.window, config.epochs, NEGATIVE, LEARNING_RATE),
+        np.uint64(config.seed),
+    )
+    return vectors
+
+
+class Text(NamedTuple):
+    """Sentences, one after the other."""
+
+    tokens: I1
+    start: I1
+    """Index of each sentence's first token, and the number of tokens."""
+
+
+class Vectors(NamedTuple):
+    """Vectors of each word, changed in place."""
+
+    words: F2
+    outputs: F2
+    change: F1
+    """Memory of one update."""
+
+
+class Training(NamedTuple):
+    """Parameters of the training for the kernels, see `SkipGram`."""
+
+    window: int
+    epochs: int
+    negative: int
+    rate: float
+
+
+@kernel
+def _sigmoid(x):
+    """Return 1 / (1 + exp(-x)) within 1e-5, by Lambert's fraction of tanh(x / 2); 0 or 1 beyond 6.
+
+    As in word2vec, training stops at a product beyond 6: otherwise products of words that never
+    occur together would grow without bound.
+    """
+    if abs(x) > 6.0:
+        return 1.0 if x > 0.0 else 0.0
+    y = x / 2
+    z = y * y
+    above = y * (135135.0 + z * (17325.0 + z * (378.0 + z)))
+    return 0.5 + 0.5 * above / (135135.0 + z * (62370.0 + z * (3150.0 + z * 28.0)))
+
+
+@kernel
+def _dot(a, b):
+    """Return the dot product in four sums: the processor overlaps them, the order is fixed."""
+    size = len(a)
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    whole = size - size % 4
+    for k in range(0, whole, 4):
+        s0 += a[k] * b[k]
+        s1 += a[k + 1] * b[k + 1]
+        s2 += a[k + 2] * b[k + 2]
+        s3 += a[k + 3] * b[k + 3]
+    for k in range(whole, size):
+        s0 += a[k] * b[k]
+    return (s0 + s1) + (s2 + s3)
+
+
+@kernel
+def _learn(word, company, vectors, table, negative, rate, state):
+    """Do one update: make `word` predict `company`, and not the negative samples."""
+    words, outputs, change = vectors
+    mine = words[word]
+    for k in range(len(change)):
+        change[k] = 0.0
+    for draw in range(negative + 1):
+        other, label = company, 1.0
+        if draw > 0:
+            state = state * _STEP + _ODD
+            other, label = table[np.int64(state >> _SHIFT) % len(table)], 0.0
+            if other == company:
+                continue
+        output = outputs[other]
+        step = rate * (label - _sigmoid(_dot(mine, output)))
+        for k in range(len(change)):
+            change[k] += step * output[k]
+            output[k] += step * mine[k]
+    for k in range(len(change)):
+        mine[k] += change[k]
+    return state
+
+
+@entry
+def _train(text: Text, table: I1, vectors: Vectors, training: Training, state: np.uint64) -> None:
+    tokens, start = text
+    window, epochs, negative, rate = training
+    seen, total = 0, epochs * len(tokens)
+    for _ in range(epochs):
+        for s in range(len(start) - 1):
+            for here in range(start[s], start[s + 1]):
+                now = rate * max(1.0 - seen / total, 1e-4)
+                seen += 1
+                # The window's width is random, so near words count more often than far ones.
+                state = state * _STEP + _ODD
+                width = 1 + np.int64(state >> _SHIFT) % window
+                first, last = max(start[s], here - width), min(start[s + 1] - 1, here + width)
+                for there in range(first, last + 1):
+                    if there != here:
+                        state = _learn(
+                            tokens[there], tokens[here], vectors, table, negative, now, state
+                        )
+
+
+def cosine(vectors: Float[np.ndarray, "n d"], target: int) -> Float[np.ndarray, " n"]:
+    """Return the cosine between each vector and the target's, in [-1, 1]; 0 for zero vectors.
+
+    It is rounded to 1e-9, so that it does not depend on the order of summation.
+    """
+    length = np.linalg.norm(vectors, axis=1)
+    product = vectors @ vectors[target]
+    scale = length * length[target]
+    value = np.divide(product, scale, out=np.zeros(len(vectors)), where=scale > 0)
+    return np.clip(np.round(value, 9), -1.0, 1.0)
+
+
+MIN_DISTANCE, MIN_SPREAD = 1e-3, 1e-9
+"""Lower bounds of the distance of two objects [m], and of the spread of its inverse [1/m]."""
+MIN_WEIGHT = 1e-5
+"""What the authors' code adds to each weight, so that the farthest pair has one [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """Transition probabilities of a walk: the neighbors of each object, row by row."""
+
+    start: Int[np.ndarray, " n_plus_1"]
+    target: Int[np.ndarray, " m"]
+    probability: Float[np.ndarray, " m"]
+    """Sums to 1 over each row that is not empty."""
+
+    def dense(self) -> Float[np.ndarray, "n n"]:
+        """Return the matrix P(i, j); rows of objects without neighbors are 0."""
+        n = len(self.start) - 1
+        matrix = np.zeros((n, n))
+        matrix[np.repeat(np.arange(n), np.diff(self.start)), self.target] = self.probability
+        return matrix
+
+
+def transitions(graph: SceneGraph, *, k0: float, printed: bool = False) -> Transitions:
+    """Compute P(i, j) = w(i, j) / sum over the neighbors u of w(i, u).
+
+    MoMa-Pos, section III-A, gives w = k0 / dist_xy(i, j) + (1 - k0) size(j). The terms have
+    different units, which makes k0 hard to interpret. Scaled, each is in (0, 1]: the first relative
+    to the closest pair of neighbors, the second to the largest object. Edges are undirected;
+    otherwise a cup on a table would be a dead end.
+
+    Args:
+        graph: Relations, distances and sizes.
+        k0: Weight of the distance against the size, in [0, 1].
+        printed: Use the paper's terms, in 1/m and m, instead of the scaled ones.
+    """
+    edges = graph.adjacency
+    edge = edges.data - 1
+    closest = 1.0 if printed else graph.dist_xy.min(initial=np.inf)
+    largest = 1.0 if printed else graph.size.max()
+    near, large = closest / graph.dist_xy[edge], graph.size[edges.indices] / largest
+    weight = k0 * near + (1 - k0) * large
+    row = np.repeat(np.arange(len(graph)), np.diff(edges.indptr))
+    total = np.bincount(row, weight, minlength=len(graph))
+    return Transitions(
+        edges.indptr.astype(np.int64), edges.indices.astype(np.int64), weight / total[row]
+    )
+
+
+def authors_transitions(graph: SceneGraph) -> Transitions:
+    """Return the transition probabilities of the authors' public code.
+
+    Every two objects on the floor are related, with 10 times their inverse distance scaled to
+    [0, 1] over the graph. What is carried leads to its support only, with the weight 1.
+
+    Source: Project_MoMa-Pos, `utils_EdgeBuilder.py` and `utils_Graph.py`.
+    """
+    near = graph.kind == KINDS.index("near")
+    child, parent = graph.child[near], graph.parent[near]
+    center = graph.upright.center
+    inverse = 1 / np.maximum(np.linalg.norm(center[child] - center[parent], axis=1), MIN_DISTANCE)
+    spread = max(float(np.ptp(inverse)), MIN_SPREAD) if len(inverse) else 1.0
+    floor = 10.0 * (inverse - inverse.min(initial=np.inf)) / spread + MIN_WEIGHT
+    rows = np.r_[child, parent, graph.child[~near]]
+    columns = np.r_[parent, child, graph.parent[~near]]
+    weight = np.r_[floor, floor, np.ones(np.count_nonzero(~near))]
+    order = np.lexsort((columns, rows))
+    rows, columns, weight = rows[order], columns[order], weight[order]
+    start = np.searchsorted(rows, np.arange(len(graph) + 1))
+    total = np.bincount(rows, weight, minlength=len(graph))
+    return Transitions(start.astype(np.int64), columns.astype(np.int64), weight / total[rows])
+
+
+@entry
+def _walk(start: I1, target: I1, cumulative: F1, first: I1, draws: F2) -> np.ndarray:
+    out = np.empty((len(first), draws.shape[1] + 1), np.int64)
+    for w in range(len(first)):
+        here = first[w]
+        out[w, 0] = here
+        for s in range(draws.shape[1]):
+            low, high = start[here], start[here + 1]
+            if high > low:
+                next_edge = low + np.searchsorted(cumulative[low:high], draws[w, s], side="right")
+                here = target[min(next_edge, high - 1)]
+            out[w, s + 1] = here
+    return out
+
+
+def walk(
+    steps: Transitions, first: Int[np.ndarray, " w"], length: int, rng: np.random.Generator
+) -> Int[np.ndarray, "w length"]:
+    """Walk from each given object; without neighbors, a walk stays at its object.
+
+    Args:
+        steps: Transition probabilities.
+        first: First object of each walk.
+        length: Number of objects in a walk.
+        rng: Source of the random steps.
+    """
+    row = np.repeat(np.arange(len(steps.start) - 1), np.diff(steps.start))
+    total = np.r_[0.0, np.cumsum(steps.probability)]
+    cumulative = total[1:] - total[steps.start[row]]
+    draws = rng.random((len(first), length - 1))
+    return _walk(steps.start, steps.target, cumulative, np.asarray(first, np.int64), draws)
+
 
 MIN_SCORE = 1e-6
 """Lowest score [-]; Lemma 1 of MoMa-Pos excludes 0."""
@@ -30,15 +385,15 @@ KNEE = 0.05
 RUNS = 100
 """Trainings that the authors' code averages over [-]."""
 
-Path: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
+PathPoints: TypeAlias = "Float[np.ndarray, 'k 3'] | None"
 Scorer: TypeAlias = (
-    "Callable[[SceneGraph, int, ImportanceConfig, int, Path], Float[np.ndarray, ' n']]"
+    "Callable[[SceneGraph, int, ImportanceConfig, int, PathPoints], Float[np.ndarray, ' n']]"
 )
 """Scores of all objects in (0, 1] from the graph, the target's index, the configuration, a seed."""
 
 
 def deepwalk(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score by the cosine of skip-gram vectors over biased walks (MoMa-Pos, section III-A).
 
@@ -52,13 +407,13 @@ def deepwalk(
     rng.shuffle(first)
     probabilities = transitions(graph, k0=config.k0, printed=config.weights == "printed")
     walks = walk(probabilities, first, config.length, rng)
-    vectors = embed_walks(walks, len(graph), _skip_gram(config, seed))
+    vectors = embed_walks(walks, len(graph), _skip_gram_config(config, seed))
     scores = score_of_cosine(cosine(vectors, target))
     return np.where((steps >= 0) & (steps <= 2 * config.window), scores, MIN_SCORE)
 
 
 def node2vec(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score as the authors' public code: vectors of short walks, averaged over `RUNS` trainings.
 
@@ -78,7 +433,7 @@ def node2vec(
 
 
 def distance(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score by 1 / (1 + d / 1 m), where d is the horizontal gap between the boxes [m]."""
     del config, seed, path
@@ -86,7 +441,7 @@ def distance(
 
 
 def size(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score by s / (s + d): the ratio r = s / d of size and gap, mapped to r / (1 + r)."""
     del config, seed, path
@@ -94,7 +449,7 @@ def size(
 
 
 def reach(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score by s / (s + d), where d is the 3D distance from a box to the hand's path [m].
 
@@ -109,7 +464,7 @@ def reach(
 
 
 def names(
-    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: Path = None
+    graph: SceneGraph, target: int, config: ImportanceConfig, seed: int, path: PathPoints = None
 ) -> Float[np.ndarray, " n"]:
     """Score by the cosine of the mean vectors of the objects' words.
 
@@ -131,14 +486,14 @@ def names(
     sentences = [
         [str(word) for word in rng.permutation(room)] for room in rooms for _ in range(config.walks)
     ]
-    vectors = embed_words(sentences, _skip_gram(config, seed))
+    vectors = embed_words(sentences, _skip_gram_config(config, seed))
     mean = np.array([np.mean([vectors[word] for word in some], axis=0) for some in own])
     return score_of_cosine(cosine(mean, target))
 
 
 def _by_file(file: str, own: list[tuple[str, ...]], target: int) -> Float[np.ndarray, " n"]:
     """Score objects by their words with the vectors of a file."""
-    known = read_word_vectors(FilePath(file), {word for some in own for word in some})
+    known = read_word_vectors(Path(file), {word for some in own for word in some})
     if not any(word in known for word in own[target]):
         raise InputError(f"{file} has none of the target's words: {', '.join(own[target])}")
     zero = np.zeros(len(next(iter(known.values()))))
@@ -180,5 +535,5 @@ def _library_words() -> tuple[tuple[str, ...], ...]:
     )
 
 
-def _skip_gram(config: ImportanceConfig, seed: int) -> SkipGram:
+def _skip_gram_config(config: ImportanceConfig, seed: int) -> SkipGram:
     return SkipGram(config.dimensions, config.window, config.epochs, seed)

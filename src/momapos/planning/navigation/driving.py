@@ -9,27 +9,189 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from momapos.core import Clock, SceneError, refuse_above, refuse_below
 from momapos.core.geometry import wrap_angle
+from momapos.model.robots import Robot
 
-from .base_motion import clip_velocity, integrate
-from .car_docking import CarDocking
 from .convex_polygons import pack
-from .docking import DOCKING_DISTANCE, Docking, can_stop, is_aligned, is_stopped
-from .drive_record import DriveEnding, DriveRecord
+from .docking import DOCKING_DISTANCE, CarDocking, Docking, can_stop, is_aligned, is_stopped
 from .dynamic_window import Steering, WindowConfig, velocity_window
 from .footprint_map import NavigationMap, navigation_map_of
 from .global_path import METERS_PER_RADIAN, BasePath, direct_path, plan_path
 from .judge import FootprintCollisionChecker, impossible_motion
-from .localization import Localizer, NoiseConfig
 from .path_ends import PathConfig
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+class DriveEnding(Enum):
+    """Why a drive, or a part of one, ended before the goal."""
+
+    START_BLOCKED = "the start is in collision with"
+    GOAL_BLOCKED = "the goal is in collision with"
+    NO_PATH = "there is no path for the footprint"
+    NO_PATH_FROM_ESTIMATE = "there is no path from the estimated pose"
+    PATH_OCCUPIED = "a moving obstacle blocks the path"
+    STUCK = "stuck"
+    OFF_GOAL = "the estimated pose is off the goal"
+    MISSED = "it stopped"
+    HIT = "it hit"
+    IMPOSSIBLE = "the wheels cannot do that:"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveRecord:
+    """Result and trace of a drive."""
+
+    arrived: bool
+    reason: str
+    """Why it did not arrive; "" if it did."""
+    goal: Float[np.ndarray, "3"]
+    pose: Float[np.ndarray, "3"]
+    """True final pose of the base: x [m], y [m], yaw [rad]."""
+    estimated_pose: Float[np.ndarray, "3"]
+    """Final pose as the controller estimates it."""
+    hit: str
+    """What the base touched, which ended the drive; "" for nothing."""
+    planned: float
+    """Length of the first planned path [m], infinite without one."""
+    length: float
+    """Distance driven [m]."""
+    time: float
+    """Duration [s]."""
+    clearance: float
+    """Smallest distance between the true footprint and the scene [m], at most 0.5."""
+    clearance_moving: float
+    """Smallest distance to moving obstacles [m], infinite without any."""
+    paths: int
+    """Number of planned paths [-]."""
+    times: Float[np.ndarray, " t"]
+    """Times of the trace [s]."""
+    poses: Float[np.ndarray, "t 3"]
+    """True poses."""
+    velocities: Float[np.ndarray, "t 3"]
+    """True velocities in the base frame: vx [m/s], vy [m/s], yaw rate [rad/s]."""
+    step_times: Float[np.ndarray, " k"]
+    """Computing time of each control step [s]."""
+    ending: DriveEnding | None = None
+    """Category of `reason`; None if it arrived."""
+
+
+def clip_velocity(
+    robot: Robot, now: Float[np.ndarray, "3"], wish: Float[np.ndarray, "3"], dt: float
+) -> Float[np.ndarray, "3"]:
+    """Return the velocity that a base reaches after some time on its way to another velocity.
+
+    Args:
+        robot: The robot, with its speed and acceleration limits. Only an omni base has vy, and the
+            yaw rate of a car-like base is at most that of its least turning radius.
+        now: vx [m/s], vy [m/s], yaw rate [rad/s], base frame.
+        wish: The commanded velocity, likewise.
+        dt: Time [s].
+    """
+    wish = np.array(wish, float)
+    if robot.drive != "omni":
+        wish[1] = 0.0
+    wish[:2] *= min(1.0, robot.max_speed / max(float(np.hypot(wish[0], wish[1])), 1e-12))
+    wish[2] = np.clip(wish[2], -robot.max_yaw_rate, robot.max_yaw_rate)
+    change = wish - now
+    step = robot.max_acceleration * dt
+    change[:2] *= min(1.0, step / max(float(np.hypot(change[0], change[1])), 1e-12))
+    turn = robot.max_yaw_acceleration * dt
+    change[2] = np.clip(change[2], -turn, turn)
+    reached = now + change
+    if robot.drive == "car":
+        fastest = abs(reached[0]) / robot.min_turning_radius
+        reached[2] = np.clip(reached[2], -fastest, fastest)
+    return reached
+
+
+def integrate(
+    pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
+) -> Float[np.ndarray, "3"]:
+    """Integrate a constant velocity in the base frame exactly."""
+    turn = velocity[2] * dt
+    # sin(t) / t and (1 - cos(t)) / t, also for t = 0
+    along = np.sinc(turn / np.pi) * dt
+    across = np.sinc(turn / (2 * np.pi)) * np.sin(turn / 2) * dt
+    x = along * velocity[0] - across * velocity[1]
+    y = across * velocity[0] + along * velocity[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array(
+        [pose[0] + c * x - s * y, pose[1] + s * x + c * y, float(wrap_angle(pose[2] + turn))]
+    )
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Noise of the robot's sensors; all errors are Gaussian and independent."""
+
+    position: float = 0.02
+    """Standard deviation of x and of y of a fix [m]."""
+    heading: float = float(np.radians(1.0))
+    """Standard deviation of the heading of a fix [rad]."""
+    odometry: float = 0.03
+    """Standard deviation of the odometry's velocities, as a share of them, drawn each step [-]."""
+    fused: bool = True
+    """Whether fixes are fused with odometry; otherwise the last fix is the estimate."""
+
+    def __post_init__(self) -> None:
+        refuse_below(self, 0, "position", "heading", "odometry")
+
+
+class Localizer:
+    """A Kalman filter with one variance for the position and one for the heading.
+
+    Odometry predicts the pose, and a fix of the whole pose corrects it, as with any robot that
+    navigates by a map. Errors of position and heading are taken as independent, except that heading
+    uncertainty adds position uncertainty while driving.
+    """
+
+    def __init__(
+        self, pose: Float[np.ndarray, "3"], noise: NoiseConfig, rng: np.random.Generator
+    ) -> None:
+        self.noise, self.rng = noise, rng
+        self.variance = np.array([noise.position, noise.position, noise.heading]) ** 2
+        self._of_fix = self.variance.copy()
+        self.pose = self._fix(pose)
+
+    def _fix(self, pose: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        return pose + self.rng.normal(size=3) * np.sqrt(self._of_fix)
+
+    def step(
+        self, pose: Float[np.ndarray, "3"], velocity: Float[np.ndarray, "3"], dt: float
+    ) -> None:
+        """Update the estimate after a control step.
+
+        Args:
+            pose: The true pose, which the fix measures.
+            velocity: Mean true velocity in the step, which odometry measures, base frame.
+            dt: Length of the step [s].
+        """
+        fix = self._fix(pose)
+        measured = velocity * (1 + self.noise.odometry * self.rng.normal(size=3))
+        if not self.noise.fused:
+            self.pose = fix
+            return
+        self.pose = integrate(self.pose, measured, dt)
+        distance = float(np.hypot(velocity[0], velocity[1])) * dt
+        turn = abs(float(velocity[2])) * dt
+        spread = (self.noise.odometry * distance) ** 2 + distance**2 * self.variance[2]
+        self.variance += [spread, spread, (self.noise.odometry * turn) ** 2]
+        total = self.variance + self._of_fix
+        gain = np.divide(self.variance, total, out=np.ones(3), where=self._of_fix > 0)
+        error = fix - self.pose
+        error[2] = wrap_angle(error[2])
+        self.pose = self.pose + gain * error
+        self.variance = (1 - gain) * self.variance
+
 
 MovingObstacles: TypeAlias = "Callable[[float], Float[np.ndarray, 'd 5']]"
 """Discs at a time [s]: x [m], y [m], vx [m/s], vy [m/s], radius [m]."""

@@ -17,13 +17,20 @@ import numpy as np
 from momapos.core import owner_cache
 from momapos.core.geometry import wrap_angle
 
-from .car_connection import shortest_lengths
 from .convex_polygons import on_floor
-from .cost_map import CELL
+from .cost_map import CELL, path_lengths
 from .footprint_map import HEADINGS, MAX_GAP, NavigationMap
-from .grid_distance import path_lengths
-from .lattice import Lattice, PathModel, astar, car_curves, connections, shorten, standable
-from .lattice_moves import lattice_moves, planned_radius
+from .lattice import (
+    Lattice,
+    PathModel,
+    astar,
+    car_curves,
+    connections,
+    lattice_moves,
+    planned_radius,
+    shorten,
+    standable,
+)
 from .outline_gaps import gaps
 from .path_ends import (
     DEFAULT_CONFIG,
@@ -36,6 +43,7 @@ from .path_ends import (
     path_end,
     path_model,
 )
+from .reeds_shepp import shortest_lengths
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -20,9 +20,8 @@ from momapos.model.scene import Scene
 from momapos.model.urdf import Boxes
 
 from .convex_polygons import ConvexPolygons, obstacles_of, on_floor, pack, prisms_of
-from .cost_map import CELL, FloorPlan
+from .cost_map import CELL, FloorPlan, clearance
 from .footprint_map import HEADINGS, NavigationMap
-from .grid_distance import clearance
 from .judge import FootprintCollisionChecker
 from .outline_gaps import gaps
 

@@ -1,26 +1,34 @@
-"""Search base poses: sample the free area A and check poses by expected cost."""
+"""Search base poses: sample the free area A and check poses by expected cost.
+
+Samples of the whole floor are far apart. The search draws samples around the best pose, checks the
+cheapest that can be as robust, and repeats this around the new pose; at the end in a smaller box.
+"""
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import look
 from momapos.core.geometry import compose, latin_hypercube
-from momapos.model.records import PoseOutcome, PoseStatus
+from momapos.model.records import ArmPathResult, PoseOutcome, PoseStatus
 
-from .area import PlacementGeometry, arm_radius, clears_sweep, sampling_box, task_frame
+from .area import (
+    PlacementGeometry,
+    arm_radius,
+    clears_sweep,
+    grid_standing,
+    sampling_box,
+    task_frame,
+)
 from .config import PlaceConfig
-from .grasp_scores import GraspModeScorer
-from .grid_standing import grid_standing
-from .nearer import cheaper_poses
-from .order import by_expected_cost
-from .pose_cost import PoseCosts
-from .potential import attraction
+from .grasp_scores import GraspModeScorer, attraction
+from .pose_cost import PoseCosts, Robustness, can_be_robust, robustness_of
 from .problem import Problem, Search
 from .shortlist import (
     Candidate,
@@ -33,10 +41,215 @@ from .shortlist import (
     is_dominated,
     screen,
 )
-from .waiting import Waiting
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
+
+
+@dataclass
+class Waiting:
+    """Base poses of one round with an arm path, by index.
+
+    If robustness is compared first, the best is the most robust of some; otherwise it is the
+    cheapest, chosen as soon as no remaining pose may cost less.
+    """
+
+    costs: PoseCosts
+    robustness: Robustness
+    looks: float
+    """Maximum number of poses whose robustness is measured; 0: it does not count [-]."""
+    paths: dict[int, ArmPathResult] = field(default_factory=dict)
+    cost: dict[int, float] = field(default_factory=dict)
+    """Cost of each pose with a path."""
+    measured: dict[bytes, float] = field(default_factory=dict)
+    """Robustness by base pose."""
+    looked: int = 0
+    """Number of poses whose robustness was measured to choose [-]."""
+    bound: float = math.inf
+    """A pose of this known cost cannot be better than the best that waits."""
+
+    @classmethod
+    def of(cls, problem: Problem, score: GraspModeScorer, costs: PoseCosts) -> Waiting:
+        """Start with no poses, as the costs are configured."""
+        config = costs.config
+        if problem.fit is not None:  # an arm of few joints has no path next to a fitted pose
+            looks = 0.0
+        elif costs.robustness_first:
+            looks = float(config.compared) if config.method == "ours" else 0.0
+        else:
+            looks = math.inf if config.weight_robustness > 0.0 else 0.0
+        return cls(costs, robustness_of(problem, score, config), looks)
+
+    def take(
+        self,
+        passed: dict[int, ArmPathResult],
+        poses: Float[np.ndarray, "n 3"],
+        known: Float[np.ndarray, " n"],
+    ) -> None:
+        """Add the poses with a path; `poses` and `known` costs cover the whole round."""
+        for i, path in passed.items():
+            self.paths[i] = path
+            self.cost[i] = self.full_cost(poses[i], path, float(known[i]))
+            if not self.costs.robustness_first:
+                self.bound = min(self.bound, self.cost[i])
+
+    def full_cost(self, pose: Float[np.ndarray, "3"], path: ArmPathResult, known: float) -> float:
+        """Return a pose's cost with its path, and with its robustness unless another is better."""
+        assert path.q is not None
+        cost = known + self.costs.of_path(path.q)
+        if self.costs.robustness_first or not self.looks or cost >= self.bound:
+            return cost
+        return cost + self.costs.of_robustness(self.robustness_at(pose, path.grasp))
+
+    def choose(self, poses: Float[np.ndarray, "n 3"], *, last: bool) -> dict[int, ArmPathResult]:
+        """Return all waiting poses, best first, as soon as the best is known; nothing before.
+
+        Args:
+            poses: All base poses of the round.
+            last: Whether no more poses follow.
+        """
+        by_cost = sorted(self.paths, key=lambda i: self.cost[i])
+        if self.costs.robustness_first:
+            full = False
+            for i in by_cost:
+                if full or self.looked >= self.looks:
+                    break
+                self.looked += poses[i].tobytes() not in self.measured
+                full = self.robustness_at(poses[i], self.paths[i].grasp) == 1.0
+            if not (full or last or self.looked >= self.looks):
+                return {}
+            by_cost.sort(key=lambda i: -self.measured.get(poses[i].tobytes(), 0.0))
+        elif not last:
+            return {}
+        paths, self.paths, self.bound = self.paths, {}, math.inf
+        return {i: paths[i] for i in by_cost}
+
+    def prefers(self, step: Candidate, to: Candidate) -> bool:
+        """Check that a step of lower known cost improves: it costs less, or is as robust."""
+        if not self.costs.robustness_first:
+            cost, before = (self.full_cost(one.pose, one.path, one.known) for one in (step, to))
+            return cost < before
+        least = self.measured.get(to.pose.tobytes(), 0.0)
+        return not self.looks or self.robustness_at(step.pose, step.path.grasp) >= least
+
+    def known_robustness(self, pose: Float[np.ndarray, "3"]) -> float | None:
+        """Return the robustness of a base pose if it was measured."""
+        return self.measured.get(pose.tobytes())
+
+    def robustness_at(self, pose: Float[np.ndarray, "3"], grasp: int) -> float:
+        """Measure the robustness of a base pose, once."""
+        key = pose.tobytes()
+        if key not in self.measured:
+            self.measured[key] = self.robustness(pose, grasp)
+        return self.measured[key]
+
+
+_COUNT = 128
+"""Samples of one step [-]."""
+_AROUND = np.array([0.3, 0.3, np.radians(30.0)])
+"""Half size of the box of samples [m], [m], [rad]."""
+_MIN_GAIN = 0.06
+"""Minimum driving length that a step saves [m]."""
+_MAX_LOOKUPS = 32
+"""Maximum number of poses whose possible robustness is looked up, the cheapest first [-]."""
+_MAX_CHECKS = 4
+"""Maximum number of poses of a step that are checked for a path: the cheapest mostly are at the
+edge of the arm's reach [-]."""
+_MIN_BOX = 0.25
+"""A step that fails halves the box, down to this share [-]."""
+
+
+def cheaper_poses(
+    problem: Problem,
+    score: GraspModeScorer,
+    waiting: Waiting,
+    rng: np.random.Generator,
+    found: Search,
+    first: Candidate,
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Step from a base pose with an arm path to better ones.
+
+    Args:
+        problem, score: The problem and the scorer of the grasp modes.
+        waiting: Costs, robustness and number of steps.
+        rng: Source of the samples.
+        found: Record of the search, which is extended.
+        first: The base pose to improve.
+
+    Returns:
+        Better poses with an arm path, the best first, and cheaper poses that are less robust.
+    """
+    better: list[Candidate] = []
+    others: list[Candidate] = []
+    around = 1.0
+    for _ in range(waiting.costs.config.improve):
+        best = better[0] if better else first
+        for step in _checked_steps(problem, score, waiting, rng, found, best, around):
+            if waiting.prefers(step, best):
+                better.insert(0, step)
+                break
+            others.append(step)
+        else:
+            around /= 2.0
+            if around < _MIN_BOX:
+                break
+    return better, others
+
+
+def _checked_steps(
+    problem: Problem,
+    score: GraspModeScorer,
+    waiting: Waiting,
+    rng: np.random.Generator,
+    found: Search,
+    best: Candidate,
+    around: float,
+) -> Iterator[Candidate]:
+    """Yield poses around another that have a path and a lower known cost, checked lazily."""
+    costs = waiting.costs
+    config = costs.config
+    poses = compose(best.pose, (2.0 * latin_hypercube(rng, _COUNT, 3) - 1.0) * around * _AROUND)
+    limit = best.known - _MIN_GAIN * config.weight_driving
+    travel = problem.travel_cost(poses)
+    poses, travel = poses[np.isfinite(travel)], travel[np.isfinite(travel)]
+    clear = clear_poses(problem, poses[costs.before_path(poses, travel) < limit], Search())
+    if clear is None:
+        return
+    left = clear.reached(problem, score, on_grid=False)
+    known = costs.before_path(left.poses, left.travel)
+    order = np.argsort(known, kind="stable")
+    order = order[known[order] < limit]
+    if problem.home_is_free is not None:
+        order = order[problem.home_is_free(left.poses[order])]
+    order = order[:_MAX_LOOKUPS]
+    if costs.robustness_first and waiting.looks:
+        least = waiting.known_robustness(best.pose) or 0.0
+        order = order[can_be_robust(problem, score, config, left.poses[order], least)]
+    # Only poses that are checked count as samples.
+    for i in order[:_MAX_CHECKS]:
+        clear = clear_poses(problem, left.poses[i : i + 1], found)
+        if clear is None:
+            return
+        one = clear.reached(problem, score, on_grid=False)
+        passed = screen(problem, one, np.arange(len(one.poses)), config.grasps, found)
+        for index, path in passed.items():
+            yield Candidate(one, index, path, float(known[i]))
+
+
+def by_expected_cost(
+    known: Float[np.ndarray, " n"], odds: Float[np.ndarray, " n"], *, miss: float
+) -> Int[np.ndarray, " m"]:
+    """Return the order by known cost plus expected cost of a miss, cheapest first.
+
+    Args:
+        known: Cost of each pose before it has a path; poses of infinite cost are left out.
+        odds: Estimated probability that it works, in [0, 1].
+        miss: Cost of a certain miss, in meters of driving of weight 1 [m].
+    """
+    key = known + miss * (1.0 - odds)
+    order = np.argsort(key, kind="stable")
+    return order[np.isfinite(key[order])]
+
 
 _BLOCK = 512
 """Grid poses screened together [-]."""

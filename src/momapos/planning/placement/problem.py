@@ -1,4 +1,4 @@
-"""Records of the search: the problem and the result."""
+"""Records of the search: the problem, its restrictions of the base pose, and the result."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from momapos.core import OutOfTimeError
+from momapos.core import OutOfTimeError, look
+from momapos.core.geometry import all_inside, any_overlap, place_points, wrap_angle
 from momapos.model.records import (
     ANYWHERE,
     NO_PATH,
@@ -26,13 +27,95 @@ from momapos.model.records import (
     TravelCost,
 )
 
-from .area import PlacementGeometry
-from .fitting import FitPoses
+from .area import PlacementGeometry, within_reach
 from .grasp_scores import GraspModeScorer
-from .region import PoseRule
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
+
+
+class PoseRule(Protocol):
+    """One condition on base poses."""
+
+    def keeps(
+        self, poses: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"], /
+    ) -> Bool[np.ndarray, " n"]:
+        """Return which base poses satisfy it, given the driving length to each [m]."""
+        ...
+
+    @property
+    def otherwise(self) -> PoseOutcome:
+        """Return the outcome of the others."""
+        ...
+
+
+class BasePoseRule(NamedTuple):
+    """One condition on base poses, see `PoseRule`."""
+
+    keeps: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]], Bool[np.ndarray, " n"]]
+    """Return which base poses satisfy it, given the driving length to each [m]."""
+    otherwise: PoseOutcome
+    """Outcome of the others."""
+
+
+def rules(region: BaseRegion, geometry: PlacementGeometry) -> list[BasePoseRule]:
+    """Return the conditions of a region; the base faces the first grasp."""
+
+    def inside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        outlines = place_points(poses, geometry.robot.footprint)
+        each = [all_inside(np.array(area), outlines) for area in region.keep_in]
+        return np.asarray(np.array(each).any(0))
+
+    def outside(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        outlines = place_points(poses, geometry.robot.base_outline)
+        each = [any_overlap(np.array(area), outlines) for area in region.keep_out]
+        return np.asarray(~np.array(each).any(0))
+
+    def faces(poses: Float[np.ndarray, "n 3"], _: Float[np.ndarray, " n"]) -> np.ndarray:
+        toward = geometry.Ts_world_tool[0, 1, :2, 3] - poses[:, :2]
+        turn = wrap_angle(np.arctan2(toward[:, 1], toward[:, 0]) - poses[:, 2])
+        return np.asarray(np.abs(turn) <= region.facing)
+
+    def is_near(_: Float[np.ndarray, "n 3"], travel: Float[np.ndarray, " n"]) -> np.ndarray:
+        return np.asarray((travel <= region.most_driving) | np.isinf(travel))
+
+    every = (
+        (bool(region.keep_in), inside, PoseStatus.NOT_KEPT_IN),
+        (bool(region.keep_out), outside, PoseStatus.NOT_KEPT_OUT),
+        (region.facing is not None, faces, PoseStatus.NOT_FACING),
+        (region.most_driving is not None, is_near, PoseStatus.TOO_LONG_A_DRIVE),
+    )
+    return [BasePoseRule(keeps, PoseOutcome(status)) for applies, keeps, status in every if applies]
+
+
+FitPoses: TypeAlias = (
+    "Callable[[Float[np.ndarray, 'n 3']], tuple[Float[np.ndarray, 'n 3'], Int[np.ndarray, ' n']]]"
+)
+"""Move base poses to feasible ones nearby; return them and the grasp mode of each, or -1."""
+_BLOCK = 512
+"""Poses fitted between two checks of the time limit [-]."""
+
+
+def fitted(
+    fit: FitPoses | None,
+    geometry: PlacementGeometry,
+    poses: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"] | None]:
+    """Fit the base poses within the arm's reach; return them unchanged if `fit` is None.
+
+    Returns:
+        The fitted poses and the grasp mode of each (-1: none found; None: not fitted).
+    """
+    if fit is None:
+        return poses, None
+    poses, own = poses.copy(), np.full(len(poses), -1)
+    near = np.flatnonzero(within_reach(geometry, poses))
+    for first in range(0, len(near), _BLOCK):
+        look()
+        rows = near[first : first + _BLOCK]
+        poses[rows], own[rows] = fit(poses[rows])
+    return poses, own
+
 
 _UNCOUNTED = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND, PoseStatus.NOT_TRIED)
 

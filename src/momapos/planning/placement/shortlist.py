@@ -12,10 +12,8 @@ from momapos.core import look
 from momapos.model.records import ArmPathResult, PoseOutcome, PoseStatus
 
 from .area import BaseStatus, base_pose_status
-from .fitting import fitted
 from .grasp_scores import GraspModeScorer, GraspModeScores
-from .problem import Problem, Search
-from .region import PoseRule, rules
+from .problem import PoseRule, Problem, Search, fitted, rules
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

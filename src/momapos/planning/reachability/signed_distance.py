@@ -13,8 +13,8 @@ import numpy as np
 
 from momapos.core.compiled import C1, C2, I2, U1, U2, entry, kernel
 
-from .base_contact import AZIMUTHS
 from .grid import DEPTH, OUTSIDE, STEPS, GridShape
+from .map_kernels import AZIMUTHS
 
 
 def uneven_edges(masks: np.ndarray, least: int) -> list[np.ndarray]:

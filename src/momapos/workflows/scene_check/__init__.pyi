@@ -5,8 +5,8 @@ from .report import FloorReport as FloorReport
 from .report import JointReport as JointReport
 from .report import SceneReport as SceneReport
 from .report import Severity as Severity
-from .report_text import finding_lines as finding_lines
-from .report_text import joint_lines as joint_lines
-from .report_text import report_lines as report_lines
-from .report_text import report_to_dict as report_to_dict
-from .report_text import summary as summary
+from .report import finding_lines as finding_lines
+from .report import joint_lines as joint_lines
+from .report import report_lines as report_lines
+from .report import report_to_dict as report_to_dict
+from .report import summary as summary

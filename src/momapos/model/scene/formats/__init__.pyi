@@ -1,10 +1,10 @@
-from .confined_files import find_inside as find_inside
 from .imported_room import ImportReport as ImportReport
+from .imported_room import find_inside as find_inside
+from .importing import write_mjcf as write_mjcf
 from .importing import write_room as write_room
 from .kinds import foreign_kind as foreign_kind
 from .kinds import kind_of_file as kind_of_file
 from .kinds import read_room as read_room
-from .mjcf_writer import write_mjcf as write_mjcf
 from .nav2_map import MapGrid as MapGrid
 from .nav2_map import is_map as is_map
 from .nav2_map import read_map as read_map

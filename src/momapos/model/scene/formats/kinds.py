@@ -71,7 +71,8 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> ImportedRoom:
 
 def _reader(kind: Kind) -> Callable[[Path, Path], ImportedRoom]:
     """Return the reader of a format, imported on demand."""
-    from . import mjcf, moveit, moveit_message, sdf, usd
+    from . import mjcf, moveit, sdf, usd
+    from . import moveit as moveit_message
 
     readers: dict[Kind, Callable[[Path, Path], ImportedRoom]] = {
         "MJCF": mjcf.read_room,

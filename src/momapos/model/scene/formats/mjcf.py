@@ -7,9 +7,12 @@ bodies, these become objects instead.
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree.ElementTree import tostring
@@ -17,16 +20,297 @@ from xml.etree.ElementTree import tostring
 import numpy as np
 
 from momapos.core import FileFormatError, require
-from momapos.core.geometry import pose, pose_wxyz
-from momapos.model.urdf import Mimic
+from momapos.core.geometry import invert, pose, pose_wxyz
+from momapos.model.urdf import (
+    Geometry,
+    Joint,
+    JointKind,
+    Link,
+    Mesh,
+    Mimic,
+    Urdf,
+    capsule_shapes,
+    joint_motion,
+)
 
-from .imported_room import ImportedRoom, ImportReport, Names
+from .imported_room import (
+    MIN_FLOOR_NORMAL_Z,
+    ImportedRoom,
+    ImportReport,
+    Names,
+    RoomObject,
+    ellipsoid,
+    plane,
+)
 from .mjcf_files import OWN_TEXT, Mjcf, read_mjcf
-from .mjcf_shapes import GeomShapes
-from .mjcf_tree import Tree
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+
+@dataclass
+class GeomShapes:
+    """Converts geoms to shapes, and counts approximations."""
+
+    model: Any
+    approximated: Counter[str]
+    dropped: Counter[str]
+    meshes: dict[Path, Mesh] = field(default_factory=dict)
+    """Meshes of the converted shapes, by file name."""
+
+    def solid(self, geom: int) -> bool:
+        """Return whether a geom has collisions."""
+        return bool(self.model.geom_contype[geom] or self.model.geom_conaffinity[geom])
+
+    def pose(self, geom: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a geom in its body's frame."""
+        return pose_wxyz(
+            tuple(self.model.geom_pos[geom].tolist()), tuple(self.model.geom_quat[geom].tolist())
+        )
+
+    def level(self, geom: int, T_world_body: Float[np.ndarray, "4 4"]) -> bool:
+        """Return whether a geom is a floor plane."""
+        upward = (T_world_body @ self.pose(geom))[2, 2]
+        return self._kind(geom) == "plane" and bool(upward >= MIN_FLOOR_NORMAL_Z)
+
+    def top(self, geom: int, T_world_body: Float[np.ndarray, "4 4"]) -> float:
+        """Return the height of a geom's bounding box [m]; for a plane, of its origin."""
+        T, box = T_world_body @ self.pose(geom), self.model.geom_aabb[geom]
+        if self._kind(geom) == "plane":
+            return float(T[2, 3])
+        return float(T[2, 3] + T[2, :3] @ box[:3] + np.abs(T[2, :3]) @ box[3:])
+
+    def shapes(
+        self, geom: int, T: Float[np.ndarray, "4 4"], name: str, *, solid: bool
+    ) -> list[Geometry]:
+        """Return the shapes of a geom; empty for unbounded planes.
+
+        Args:
+            geom: Index of the geom.
+            T: Pose of its body in the frame of the shapes.
+            name: Name of the shapes.
+            solid: Whether the report counts it, as it does not for visual geoms.
+        """
+        T, size = T @ self.pose(geom), self.model.geom_size[geom].tolist()
+        kind = self._kind(geom)
+        count = self.approximated if solid else Counter[str]()
+        if kind == "box":
+            return [Geometry("box", (2 * size[0], 2 * size[1], 2 * size[2]), T, name)]
+        if kind == "sphere":
+            return [Geometry("sphere", (size[0],), T, name)]
+        if kind == "cylinder":
+            return [Geometry("cylinder", (size[0], 2 * size[1]), T, name)]
+        if kind == "capsule":
+            return capsule_shapes(size[0], 2 * size[1], T, name)
+        if kind == "mesh":
+            file = self._mesh(int(self.model.geom_dataid[geom]))
+            return [Geometry("mesh", (1.0, 1.0, 1.0), T, name, file)]
+        if kind == "ellipsoid":
+            count["ellipsoids as meshes"] += 1
+            shape, file, mesh = ellipsoid((size[0], size[1], size[2]), T, name)
+            self.meshes[file] = mesh
+            return [shape]
+        if kind == "plane" and min(size[:2]) > 0:
+            count["bounded planes as boxes"] += 1
+            return [plane(2 * size[0], 2 * size[1], T, name)]
+        if solid:
+            self.dropped["unbounded planes" if kind == "plane" else f"geoms of type {kind}"] += 1
+        return []
+
+    def _kind(self, geom: int) -> str:
+        import mujoco
+
+        kind: str = mujoco.mjtGeom(int(self.model.geom_type[geom])).name
+        return kind.removeprefix("mjGEOM_").lower()
+
+    def _mesh(self, number: int) -> Path:
+        """Return the file of a mesh, and add the mesh."""
+        file = self._files[number]
+        if file not in self.meshes:
+            m = self.model
+            first, count = m.mesh_vertadr[number], m.mesh_vertnum[number]
+            points = m.mesh_vert[first : first + count].astype(float)
+            first, count = m.mesh_faceadr[number], m.mesh_facenum[number]
+            faces = m.mesh_face[first : first + count].astype(np.int64)
+            self.meshes[file] = Mesh(points, faces)
+        return file
+
+    @cached_property
+    def _files(self) -> list[Path]:
+        """File names of all meshes, because MuJoCo's names can contain any characters."""
+        names = (self.model.mesh(i).name for i in range(self.model.nmesh))
+        plain = ("".join(c if c.isalnum() and c.isascii() else "_" for c in n)[:60] for n in names)
+        return [Path(f"mesh{i}_{name}.obj") for i, name in enumerate(plain)]
+
+
+_NUMBER = re.compile(r"#\d+$")
+"""Suffix of geom names that would otherwise be equal."""
+
+
+@dataclass
+class Tree:
+    """Collects the links and joints of one object."""
+
+    model: Any
+    shapes: GeomShapes
+    children: Mapping[int, Sequence[int]]
+    """Child bodies by body."""
+    name: str
+    prefix: str
+    """Prefix of the part names, which is removed."""
+    approximated: Counter[str]
+    links: dict[str, Link] = field(default_factory=dict)
+    joints: dict[int, Joint] = field(default_factory=dict)
+    """Movable joints by MuJoCo's index."""
+    values: dict[str, float] = field(default_factory=dict)
+    solid: list[int] = field(default_factory=list)
+    """Geoms with collisions, by MuJoCo's index."""
+    _order: list[Joint] = field(default_factory=list)
+    _link_names: Names = field(default_factory=Names)
+    _joint_names: Names = field(default_factory=Names)
+
+    def object(
+        self, T: Float[np.ndarray, "4 4"], follows: Mapping[int, Mimic], extras: Mapping[str, Any]
+    ) -> RoomObject:
+        """Return the object.
+
+        Args:
+            T: Pose in the world.
+            follows: Mimic relations by MuJoCo's joint index.
+            extras: See `RoomObject`.
+        """
+        numbers = {joint.name: number for number, joint in self.joints.items()}
+        joints = tuple(
+            replace(joint, mimic=follows.get(numbers.get(joint.name, -1))) for joint in self._order
+        )
+        urdf = Urdf(self.name, None, next(iter(self.links)), self.links, joints)
+        return RoomObject(self.name, T, urdf, self.values, extras)
+
+    def add_geom(self, geom: int, link: str) -> None:
+        """Add a geom of the world as the whole object, in the geom's frame."""
+        self._add_link(self._link_names(link, "body"), [geom], invert(self.shapes.pose(geom)))
+
+    def add_body(self, body: int, link: str) -> None:
+        """Add a body of the world, and all bodies below it."""
+        waiting: list[tuple[int, str | None, Float[np.ndarray, "4 4"]]] = [(body, None, np.eye(4))]
+        while waiting:
+            number, parent, T_parent_body = waiting.pop()
+            wanted = link if parent is None else self._bare(self.model.body(number).name)
+            name = self._link_names(wanted, f"body_{number}")
+            T_link_body = self._add_joints(number, parent, T_parent_body, name)
+            first, count = self.model.body_geomadr[number], self.model.body_geomnum[number]
+            self._add_link(name, range(first, first + count), T_link_body)
+            waiting += [
+                (child, name, T_link_body @ self._offset(child))
+                for child in reversed(self.children[number])
+            ]
+
+    def _offset(self, body: int) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a body in its parent, with joints as in the file."""
+        return pose_wxyz(
+            tuple(self.model.body_pos[body].tolist()), tuple(self.model.body_quat[body].tolist())
+        )
+
+    def _bare(self, name: str) -> str:
+        return name.removeprefix(f"{self.prefix}/")
+
+    def _add_joints(
+        self, body: int, parent: str | None, T_parent_body: Float[np.ndarray, "4 4"], link: str
+    ) -> Float[np.ndarray, "4 4"]:
+        """Add the joints of a body; several joints become a chain of links without shapes.
+
+        Args:
+            body: Index of the body.
+            parent: Link of its parent; None for the object's first body.
+            T_parent_body: Its pose in the parent.
+            link: Name of its link.
+
+        Returns:
+            The body's pose in its link, whose origin is the anchor of its last joint.
+        """
+        first, count = self.model.body_jntadr[body], self.model.body_jntnum[body]
+        moving = [j for j in range(first, first + count) if self._kind(j) is not None]
+        if parent is None and moving:
+            parent = self._link_names("base", "base")
+            self.links[parent] = Link(parent, (), ())
+        if parent is None:
+            return np.eye(4)
+        if not moving:
+            name = self._joint_names(f"{link}_fixed", "fixed")
+            none = np.array([1.0, 0.0, 0.0])
+            joint = Joint(name, "fixed", parent, link, T_parent_body, none, 0.0, 0.0, math.inf)
+            self._order.append(joint)
+            return np.eye(4)
+        T, offset = T_parent_body, np.zeros(3)
+        for joint_id in moving:
+            turns = self._kind(joint_id) != "prismatic"
+            anchor = np.array(self.model.jnt_pos[joint_id]) if turns else offset
+            T, offset = T @ pose(anchor - offset), anchor
+            last = joint_id == moving[-1]
+            child = link if last else self._link_names(f"{link}_{joint_id}", "between")
+            if not last:
+                self.links[child] = Link(child, (), ())
+            self._add_joint(joint_id, parent, child, T, link)
+            parent, T = child, np.eye(4)
+        return pose(-offset)
+
+    def _kind(self, joint: int) -> JointKind | None:
+        """Return the kind of a joint; None if URDF has no counterpart."""
+        import mujoco
+
+        kind, kinds = int(self.model.jnt_type[joint]), mujoco.mjtJoint
+        if kind == kinds.mjJNT_SLIDE:
+            return "prismatic"
+        if kind == kinds.mjJNT_HINGE:
+            return "revolute" if self.model.jnt_limited[joint] else "continuous"
+        return None
+
+    def _add_joint(
+        self, number: int, parent: str, child: str, T: Float[np.ndarray, "4 4"], link: str
+    ) -> None:
+        m, kind = self.model, self._kind(number)
+        assert kind is not None
+        word = "slide" if kind == "prismatic" else "hinge"
+        wanted = self._bare(m.joint(number).name) or f"{link}_{word}"
+        name = self._joint_names(wanted, word)
+        lower, upper = -math.inf, math.inf
+        if m.jnt_limited[number]:
+            lower, upper = m.jnt_range[number].tolist()
+        axis, start = np.array(m.jnt_axis[number]), float(m.qpos0[m.jnt_qposadr[number]])
+        joint = Joint(name, kind, parent, child, T, axis, lower, upper, math.inf)
+        back = joint_motion(joint, -start)  # the file defines the body at joint value `start`
+        dof = int(m.jnt_dofadr[number])
+        joint = replace(
+            joint, T_parent_joint=T @ back,
+            friction=float(m.dof_frictionloss[dof].item()),
+            damping=float(m.dof_damping[dof].item()),
+        )  # fmt: skip
+        self._order.append(joint)
+        self.joints[number] = joint
+        value = min(max(start, joint.lower), joint.upper)
+        if value != start:
+            self.approximated["joint values outside their limits, clipped"] += 1
+        if value != min(max(0.0, joint.lower), joint.upper):
+            self.values[name] = value
+
+    def _add_link(
+        self, link: str, geoms: Sequence[int], T_link_body: Float[np.ndarray, "4 4"]
+    ) -> None:
+        solid: list[Geometry] = []
+        drawn: list[Geometry] = []
+        for geom in geoms:
+            touched = self.shapes.solid(geom)
+            if touched or self.model.geom_rgba[geom][3] > 0:
+                name = self._shape_name(geom, link)
+                shapes = self.shapes.shapes(geom, T_link_body, name, solid=touched)
+                (solid if touched else drawn).extend(shapes)
+                self.solid += [geom] if touched and shapes else []
+        self.links[link] = Link(link, tuple(solid), tuple(drawn))
+
+    def _shape_name(self, geom: int, link: str) -> str:
+        name = self._bare(self.model.geom(geom).name).removeprefix(f"{link}/")
+        return "".join(c if c.isprintable() else "_" for c in _NUMBER.sub("", name))[:200]
+
 
 MAX_FLOOR_HEIGHT = 1e-3
 """Height above the floor up to which fixed geometry counts as floor [m]."""
@@ -55,11 +339,11 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
         model = mujoco.MjModel.from_xml_string(text, source.meshes)
     except ValueError as error:
         raise FileFormatError(f"{path}: MuJoCo rejects it: {error}") from error
-    return _Reader(path, model, source).room()
+    return _MjcfReader(path, model, source).room()
 
 
 @dataclass
-class _Reader:
+class _MjcfReader:
     """Converts a compiled model to our records."""
 
     path: Path

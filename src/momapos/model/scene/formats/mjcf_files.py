@@ -15,7 +15,7 @@ from xml.etree.ElementTree import Element, SubElement
 from momapos.core import FileFormatError, read_bytes_bounded, read_xml, resolved
 from momapos.model.urdf import MAX_MESH_BYTES
 
-from .confined_files import find_inside
+from .imported_room import find_inside
 
 MAX_BYTES = 20_000_000
 """Maximum size of an XML file [bytes]."""

@@ -1,27 +1,41 @@
-"""Read MoveIt planning scenes (`.scene` files): fixed shapes of a room.
+"""Read MoveIt planning scenes: `.scene` files, and messages in YAML.
 
 The format is that of MoveIt's `PlanningScene::saveGeometryToStream`. Since 2020 each object has its
 own pose and subframes; older files have neither.
+
+Fixed shapes of a room, as `ros2 topic echo` prints them and as collections of planning problems
+store them. The text format `.scene` is another one, see `moveit`.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from momapos.core import FileFormatError, read_text_bounded
+from momapos.core import FileFormatError, parse_yaml, read_text_bounded
 from momapos.core.geometry import pose_wxyz
 from momapos.model.scene.scene_names import MAX_BYTES
 from momapos.model.urdf import Geometry, Link, Mesh, Urdf
 
-from .composed_shapes import MIN_FLOOR_NORMAL_Z
-from .imported_room import ImportedRoom, ImportReport, Names, RoomObject
+from .imported_room import (
+    MIN_FLOOR_NORMAL_Z,
+    ImportedRoom,
+    ImportReport,
+    Message,
+    Names,
+    RoomObject,
+    as_numbers,
+    prism,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
 
 MAX_NUMBER = 1e6
 """Maximum magnitude of a number, and maximum number of vertices or triangles of a mesh [-]."""
@@ -44,7 +58,7 @@ def read_room(path: Path, root: Path) -> ImportedRoom:  # noqa: ARG001
     Raises:
         FileFormatError: The file is invalid; one line says what is wrong and in which line.
     """
-    reader = _Reader(path, read_text_bounded(path, MAX_BYTES).splitlines())
+    reader = _SceneReader(path, read_text_bounded(path, MAX_BYTES).splitlines())
     reader.line("a name")  # of the planning scene, usually "(noname)+"
     while (marker := reader.line("'*' or '.'")) != ".":
         if not marker.startswith("*"):
@@ -53,7 +67,7 @@ def read_room(path: Path, root: Path) -> ImportedRoom:  # noqa: ARG001
     return ImportedRoom(path.stem, tuple(reader.objects), reader.meshes, reader.report)
 
 
-class _Reader:
+class _SceneReader:
     """Reads a planning scene line by line."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
@@ -167,3 +181,268 @@ class _Reader:
         if not 0 <= count <= len(self.lines) - self.number:
             raise self.error(f"the file has no {count} lines with {what} each")
         return np.array([self.values(3, what) for _ in range(count)], float).reshape(-1, 3)
+
+
+_PRIMITIVES = {
+    1: "box", 2: "sphere", 3: "cylinder", 4: "cone", 5: "prism",
+}  # fmt: skip
+"""Types of `shape_msgs/SolidPrimitive`, which files give as numbers or words."""
+_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "prism": 1}
+"""Number of dimensions of each type."""
+_OPERATIONS = ("add", "remove", "append", "move")
+"""Operations of `moveit_msgs/CollisionObject` by their number."""
+_MIN_UPRIGHT = 0.9999
+"""Minimum z of the base's z axis for a start on the floor [-]."""
+
+
+def read_message(path: Path, root: Path) -> ImportedRoom:  # noqa: ARG001
+    """Read a planning scene.
+
+    Args:
+        path: The file.
+        root: Unused, because a planning scene names no files.
+
+    Raises:
+        FileFormatError: The file is invalid; one line says what is wrong and where.
+    """
+    scene = Message(parse_yaml(read_text_bounded(path, MAX_BYTES), path), f"{path}")
+    world = scene.part("world") if "world" in scene else scene
+    if "collision_objects" not in world:
+        raise scene.error("not a planning scene: it has no world with collision_objects")
+    reader = _MessageReader(path, _Frames.of(scene))
+    for item in world.parts("collision_objects"):
+        reader.apply(item)
+    reader.count_dropped(scene, world)
+    name = scene.text("name").strip() or path.stem
+    start = _start(scene.part("robot_state"), reader)
+    extras = {} if start is None else {"start": start}
+    plain = "".join(c if c.isprintable() else "_" for c in name)
+    return ImportedRoom(plain, reader.finished(), reader.meshes, reader.report, extras)
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """Poses of the frames that a file defines, in its planning frame."""
+
+    known: dict[str, Float[np.ndarray, "4 4"]]
+    unknown: Counter[str] = field(default_factory=Counter)
+
+    @classmethod
+    def of(cls, scene: Message) -> _Frames:
+        """Read `fixed_frame_transforms`."""
+        known: dict[str, np.ndarray] = {}
+        rows = [
+            (
+                _frame(row.part("header").text("frame_id")),
+                _frame(row.text("child_frame_id")),
+                row.part("transform").pose("translation", "rotation"),
+            )
+            for row in scene.parts("fixed_frame_transforms")
+        ]
+        # A frame that is nobody's child is the planning frame; children may come before parents.
+        children = {child for parent, child, _ in rows if child != parent}
+        known = {parent: np.eye(4) for parent, _, _ in rows if parent not in children}
+        waiting = [row for row in rows if row[0] != row[1]]
+        while waiting:
+            ready = [row for row in waiting if row[0] in known]
+            if not ready:
+                raise scene.error(f"fixed_frame_transforms: {waiting[0][1]!r} is its own parent")
+            for parent, child, T in ready:
+                known[child] = known[parent] @ T
+            waiting = [row for row in waiting if row[1] not in known]
+        return cls(known)
+
+    def pose(self, name: str) -> Float[np.ndarray, "4 4"]:
+        """Return the pose of a frame; the planning frame's if the file does not define it."""
+        frame = _frame(name)
+        if frame and frame not in self.known:
+            self.unknown[frame] += 1
+        return self.known.get(frame, np.eye(4))
+
+
+def _frame(name: str) -> str:
+    return name.strip().lstrip("/")
+
+
+@dataclass(eq=False)
+class _Object:
+    """A collision object so far."""
+
+    T_world_object: Float[np.ndarray, "4 4"]
+    shapes: list[Geometry] = field(default_factory=list)
+    subframes: dict[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
+
+
+class _MessageReader:
+    """Applies the collision objects of a message in order."""
+
+    def __init__(self, path: Path, frames: _Frames) -> None:
+        self.path, self.frames = path, frames
+        self.objects: dict[str, _Object] = {}
+        self.meshes: dict[Path, Mesh] = {}
+        self.report = ImportReport()
+
+    def apply(self, item: Message) -> None:
+        """Add, remove, extend or move an object."""
+        name, operation = item.text("id"), self._operation(item)
+        if operation == "remove":
+            if name and name not in self.objects:
+                self.report.dropped["removals of unknown objects"] += 1
+            for key in [name] if name else list(self.objects):
+                self.objects.pop(key, None)
+            return
+        if operation == "move" and name not in self.objects:
+            raise item.error(f"moves {name!r:.60}, which does not exist")
+        T = self.frames.pose(item.part("header").text("frame_id")) @ item.part("pose").pose()
+        if operation == "move":
+            found = self.objects[name]
+            self._refresh(found, name, T)
+            return
+        if operation == "add" or name not in self.objects:
+            self.objects.pop(name, None)
+            self._refresh(self.objects.setdefault(name, _Object(T)), name, T)
+        found = self.objects[name]
+        into = np.linalg.inv(found.T_world_object) @ T
+        for shape in self._shapes(item, T):
+            found.shapes.append(_placed(shape, into))
+        names, poses = item.values("subframe_names"), list(item.parts("subframe_poses"))
+        if len(names) != len(poses):
+            raise item.error(f"{len(poses)} subframe_poses for {len(names)} subframe_names")
+        for frame, row in zip(names, poses, strict=True):
+            found.subframes[str(frame)] = into @ row.pose()
+        self._refresh(found, name, found.T_world_object)
+
+    def _refresh(self, found: _Object, name: str, T: Float[np.ndarray, "4 4"]) -> None:
+        """Move an object and the frames that other objects may name: its own and its subframes."""
+        found.T_world_object = T
+        self.frames.known[_frame(name)] = T
+        for key, T_object_frame in found.subframes.items():
+            self.frames.known[f"{_frame(name)}/{key}"] = T @ T_object_frame
+
+    def _operation(self, item: Message) -> str:
+        value: Any = item.value.get("operation")
+        word = "add" if value is None else str(value).strip().strip("\x00") or "0"
+        if word.isdigit() and int(word) < len(_OPERATIONS):
+            return _OPERATIONS[int(word)]
+        if word.lower() in _OPERATIONS:
+            return word.lower()
+        raise item.error(f"operation {word!r:.60} is none of {', '.join(_OPERATIONS)}")
+
+    def _shapes(self, item: Message, T_world_object: Float[np.ndarray, "4 4"]) -> list[Geometry]:
+        shapes = [
+            self._primitive(one, T) for one, T in _with_poses(item, "primitives", "primitive_poses")
+        ]
+        for one, T in _with_poses(item, "meshes", "mesh_poses"):
+            shapes.append(self._mesh(_mesh(one), T))
+        for one, T in _with_poses(item, "planes", "plane_poses"):
+            normal = T_world_object[:3, :3] @ T[:3, :3] @ one.numbers("coef", 4)[:3]
+            length = float(np.linalg.norm(normal))
+            level = length > 0 and abs(normal[2]) >= MIN_FLOOR_NORMAL_Z * length
+            self.report.dropped["floors" if level else "unbounded planes"] += 1
+        return shapes
+
+    def _mesh(self, mesh: Mesh, T: Float[np.ndarray, "4 4"]) -> Geometry:
+        file = Path(f"mesh{len(self.meshes)}.obj")
+        self.meshes[file] = mesh
+        return Geometry("mesh", (1.0, 1.0, 1.0), T, "", file)
+
+    def _primitive(self, one: Message, T: Float[np.ndarray, "4 4"]) -> Geometry:
+        value = one.value.get("type")
+        kind = _PRIMITIVES.get(value, "") if isinstance(value, int) else str(value).lower()
+        if kind not in _COUNTS:
+            raise one.error(f"type {value!r:.60} is none of {', '.join(_COUNTS)}")
+        size = one.numbers("dimensions", None)[: _COUNTS[kind]]
+        if len(size) < _COUNTS[kind] or size.min() <= 0:
+            raise one.error(
+                f"dimensions of a {kind} must be {_COUNTS[kind]} numbers > 0, not {size.tolist()}"
+            )
+        if kind == "prism":
+            polygon = one.part("polygon")
+            where = f"{polygon.where}: a point"
+            corners = [as_numbers(p, 3, where, "xyz") for p in polygon.values("points")]
+            if len(corners) < 3:
+                raise one.error("the polygon of a prism must have at least 3 points")
+            self.report.approximated["prisms as their convex hulls"] += 1
+            return self._mesh(prism(np.array(corners)[:, :2], float(size[0]), one.error), T)
+        self.report.approximated["cones as cylinders"] += kind == "cone"
+        if kind in ("cylinder", "cone"):
+            height, radius = size.tolist()
+            return Geometry("cylinder", (radius, height), T)
+        return Geometry("box" if kind == "box" else "sphere", tuple(size.tolist()), T)
+
+    def count_dropped(self, scene: Message, world: Message) -> None:
+        """Count what has no place in our scenes."""
+        dropped, state = self.report.dropped, scene.part("robot_state")
+        dropped["attached objects"] += len(state.values("attached_collision_objects"))
+        names = state.part("joint_state").values("name")
+        dropped["joint values of the robot"] += len(names)
+        octomap = world.part("octomap")
+        octomap = octomap.part("octomap") if "octomap" in octomap else octomap
+        dropped["octomaps"] += bool(octomap.values("data"))
+        dropped["colors"] += len(scene.values("object_colors"))
+
+    def finished(self) -> tuple[RoomObject, ...]:
+        """Return the objects that have shapes."""
+        names, found = Names(), []
+        for key, one in self.objects.items():
+            self.report.dropped["subframes"] += len(one.subframes)
+            if one.shapes:
+                name = names(key, "object")
+                urdf = Urdf(name, None, "body", {"body": Link("body", tuple(one.shapes), ())}, ())
+                found.append(RoomObject(name, one.T_world_object, urdf))
+        for frame, count in self.frames.unknown.items():
+            self.report.notes.append(
+                f"frame {frame!r} of {count} object{'' if count == 1 else 's'} is not in "
+                "fixed_frame_transforms; it is taken as the planning frame"
+            )
+        return tuple(found)
+
+
+def _placed(shape: Geometry, T: Float[np.ndarray, "4 4"]) -> Geometry:
+    return Geometry(shape.kind, shape.size, T @ shape.T_link_geometry, shape.name, shape.mesh)
+
+
+def _with_poses(
+    item: Message, what: str, poses: str
+) -> list[tuple[Message, Float[np.ndarray, "4 4"]]]:
+    """Return shapes with their poses in the object; a missing pose is that of the object."""
+    shapes, placed = list(item.parts(what)), list(item.parts(poses))
+    if len(placed) > len(shapes):
+        raise item.error(f"{len(placed)} {poses} for {len(shapes)} {what}")
+    Ts = [one.pose() for one in placed] + [np.eye(4)] * (len(shapes) - len(placed))
+    return list(zip(shapes, Ts, strict=True))
+
+
+def _mesh(one: Message) -> Mesh:
+    points = [
+        as_numbers(v, 3, f"{one.where}: vertex {k}", "xyz")
+        for k, v in enumerate(one.values("vertices"))
+    ]
+    rows = [
+        as_numbers(
+            t.get("vertex_indices") if isinstance(t, dict) else t,
+            3, f"{one.where}: vertex_indices of triangle {k}",
+        )
+        for k, t in enumerate(one.values("triangles"))
+    ]  # fmt: skip
+    if not points or not rows:
+        raise one.error("a mesh has no vertices or no triangles")
+    faces = np.array(rows)
+    wrong = (faces < 0) | (faces >= len(points)) | (faces != np.floor(faces))
+    if wrong.any():
+        raise one.error(f"a triangle names vertex {faces[wrong][0]:g} of {len(points)}")
+    return Mesh(np.array(points), faces.astype(np.int64))
+
+
+def _start(state: Message, reader: _MessageReader) -> dict[str, float] | None:
+    """Return where the robot stands, if its state says so and it stands upright on z = 0."""
+    joints = state.part("multi_dof_joint_state")
+    rows = list(joints.parts("transforms"))
+    if len(rows) != 1:
+        return None
+    T = reader.frames.pose(joints.part("header").text("frame_id"))
+    T = T @ rows[0].pose("translation", "rotation")
+    if T[2, 2] < _MIN_UPRIGHT or abs(T[2, 3]) > 1e-3:
+        reader.report.dropped["poses of the robot, which is not upright on the floor"] += 1
+        return None
+    return {"x": float(T[0, 3]), "y": float(T[1, 3]), "yaw": float(np.arctan2(T[1, 0], T[0, 0]))}

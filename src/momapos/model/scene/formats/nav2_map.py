@@ -16,8 +16,7 @@ import numpy as np
 from momapos.core import FileFormatError, parse_yaml, read_bytes_bounded, read_text_bounded
 from momapos.core.geometry import pose_planar
 
-from .confined_files import find_inside
-from .message_values import Message
+from .imported_room import Message, find_inside
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
