@@ -11,10 +11,10 @@ TIMED = """
 import sys
 import numpy as np
 {before}
-from momapos.model.trajectory import Limits, time_piece
+from momapos.model.trajectory import MotionLimits, time_piece
 s = np.linspace(0.0, 1.0, 20)
 one = np.ones(1)
-assert len(time_piece(s[:, None], s, Limits(one, one, 9 * one), 0.05)) > 10
+assert len(time_piece(s[:, None], s, MotionLimits(one, one, 9 * one), 0.05)) > 10
 assert ("matplotlib.pyplot" in sys.modules) == {loaded}
 import toppra.parametrizer
 assert callable(toppra.parametrizer.plt.figure)

@@ -1,10 +1,10 @@
 """Errors for unusable input, and how names from untrusted files are shown.
 
+Each message of an error is one line: what is wrong, where, and what would be right. The command
+line prints it and exits with status 2.
+
 A name may hold commands of terminals, marks that reverse the direction of a line, half characters,
 or what a figure takes for mathematics. Everything that shows a name passes it through here.
-
-Each message is one line: what is wrong, where, and what would be right. The command line prints it
-and exits with status 2.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
 """Read untrusted files safely, and write files whole: paths, folders, YAML, torch files.
 
-Each is locked while its process lives, and named so that a later run recognizes it.
+A temporary file or folder is locked while its process lives, and named so that a later run
+recognizes it.
 
-Such a file is a pickle inside a zip archive, and a pickle can run code. torch's weights-only reader
-accepts tensors alone; this module checks the archive, and turns all failures into one-line errors.
+A file of `torch.save` is a pickle inside a zip archive, and a pickle can run code. torch's
+weights-only reader accepts tensors alone; this module checks the archive, and turns all failures
+into one-line errors.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """Time-parameterize paths of arm and base within limits of speed, acceleration and jerk.
 
-toppra imports matplotlib for its own plots, which takes longer than the rest of its import and a
-third of a short command. A stand-in imports matplotlib when a plot needs it.
-
 TOPP-RA (Pham and Pham, 2018) finds the fastest motion within the limits of speed and acceleration;
 its acceleration jumps. The mean of its position over a moving window of time has the same path and
 a continuous acceleration (Biagiotti and Melchiorri, FIR filters for online trajectory planning with
@@ -10,7 +7,11 @@ time- and frequency-domain specifications, Control Engineering Practice, 2012). 
 limit, because the motion is elsewhere on its path, is slowed down as a whole.
 
 Straight motions between the states are what is planned and checked. What is executed is a smooth
-curve through the states (see `trajectory`), which leaves them where the path bends.
+curve through the states, which leaves them where the path bends; states are added until it leaves
+them by at most `MAX_DEVIATION`.
+
+toppra imports matplotlib for its own plots, which takes longer than the rest of its import and a
+third of a short command. A stand-in imports matplotlib when a plot needs it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Check the path of the moved part through the scene and above the floor.
 
-How deep the part lies below the floor in the given scene does not count.
-
 Real scenes are imprecise: doors are flush with their neighbors, drawers touch their frames, an
 object leans on a front. So the scene as given is the reference, and the part must not overlap
 anything more deeply than there, nor extend deeper below the floor. Elements of the part's own

@@ -262,7 +262,7 @@ def test_trials_differ_in_the_pose_of_the_table(
 ) -> None:
     optional.there(DATA / "bestman" / LABORATORY_FILE)
     monkeypatch.setenv(SHARED, str(DATA))
-    monkeypatch.setattr(paper_rooms, "TRIALS", 2)
+    monkeypatch.setattr(paper_rooms, "LABORATORY_TRIALS", 2)
     tasks = laboratory_tasks(0, ["ranger_rm63"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(TASKS, 2)
     rooms = [load_scene(tmp_path / name) for name in dict.fromkeys(task.scene for task in tasks)]
@@ -308,7 +308,7 @@ def test_the_authors_bowl_stands_at_each_place_and_what_they_open_is_open(
     monkeypatch.setenv(SHARED, str(DATA))
     tasks = paper_rooms.simulation_tasks(0, ["segway_ur5e"], tmp_path)
     assert Counter(task.group for task in tasks) == dict.fromkeys(
-        paper_rooms.PLACES, paper_rooms.TRIALS
+        paper_rooms.PLACES, paper_rooms.KITCHEN_TRIALS
     )
     for name, place in paper_rooms.PLACES.items():
         scene = load_scene(tmp_path / next(t.scene for t in tasks if t.group == name))

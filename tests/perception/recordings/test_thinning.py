@@ -36,7 +36,7 @@ def test_a_large_cloud_keeps_one_point_per_cell_and_tells_it(
     points = np.concatenate([rng.uniform((0, 0, 0), (1, 1, 0.004), (6000, 3)), [[np.nan] * 3]])
     monkeypatch.setattr(ply, "MAX_POINTS", 5000)
     monkeypatch.setattr(ply, "SPACING", 0.05)
-    monkeypatch.setattr(ply, "_CHUNK", 1000)
+    monkeypatch.setattr(ply, "_ROWS", 1000)
     cloud, warnings = read_cloud(write_ply(tmp_path / "a.ply", points))
     assert len(cloud.points) == 400
     cells = np.unique(np.floor(cloud.points[:, :2] / 0.05), axis=0)

@@ -239,7 +239,7 @@ def test_a_pose_is_found_where_none_is_robust(
 def test_checking_more_candidates_never_costs_more(
     geometry: PlacementGeometry,
 ) -> None:
-    costs = [find(geometry, always, always, together=n, improve=0).cost for n in (1, 2, 8, 32)]
+    costs = [find(geometry, always, always, batch=n, improve=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
     steps = [
         find(geometry, always, always, batch=1, improve=n, count=32).cost for n in (0, 1, 2, 4)

@@ -1,13 +1,13 @@
 """Build the rooms of the paper and of its authors' code: the laboratory and the public kitchens.
 
-The tasks: grasp an apple, grasp a cup, open the right-hinged fridge and the left-hinged microwave
-by 90 degrees, with a Ranger Mini and an RM63 in the authors' `b512.json`. Each trial moves the
-table and the objects on it; the fridge and the robot's start stay.
+The tasks of the laboratory: grasp an apple, grasp a cup, open the right-hinged fridge and the left-
+hinged microwave by 90 degrees, with a Ranger Mini and an RM63 in the authors' `b512.json`. Each
+trial moves the table and the objects on it; the fridge and the robot's start stay.
 
-A UR5e on a Segway picks a bowl at six places of one kitchen, from which objects are left out as the
-authors do. Their repository names the places, except that in the dishwasher, and the start. Their
-bowl is 13 cm wide, and their gripper, which opens 8.5 cm, need not hold it. Here something of the
-same height that it can hold stands there.
+In the public kitchens, a UR5e on a Segway picks a bowl at six places of one kitchen, from which
+objects are left out as the authors do. Their repository names the places, except that in the
+dishwasher, and the start. Their bowl is 13 cm wide, and their gripper, which opens 8.5 cm, need not
+hold it. Here something of the same height that it can hold stands there.
 
 Source: Project_MoMa-Pos, `utils_Kitchen_*.py` and `MoMa_main.py`.
 """

@@ -3,10 +3,10 @@
 The members have the names of the messages' fields, so that a node can copy them. A plan whose base
 moves with the arm is version 2, which has a goal for both.
 
-The text format of a planning scene has only objects of the world.
-
-MoveIt's `PlanningScene::saveGeometryToStream` writes this format, and RViz's motion planning panel
-imports it: the pose of an object, its shapes with their poses and colors, its subframes.
+MoveIt's `PlanningScene::saveGeometryToStream` writes the text format of a planning scene, and
+RViz's motion planning panel imports it: the pose of an object, its shapes with their poses and
+colors, its subframes. It has only objects of the world, so the object in the hand is a message of
+its own.
 """
 
 from __future__ import annotations

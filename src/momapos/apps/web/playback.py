@@ -2,8 +2,8 @@
 
 While its camera moves, a browser sends its pose with each frame, so that the interval between these
 messages is the frame time. A fast browser draws all points of a scan at all times. A slow one draws
-few of them until its camera rests, and until a drag or a motion ends. It has both already: a few
-bytes tell it which ones to show.
+few of them until its camera rests, and until a drag or a motion ends. The browser has both sets
+already: a few bytes tell it which ones to show.
 """
 
 from __future__ import annotations

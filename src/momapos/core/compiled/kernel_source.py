@@ -1,7 +1,7 @@
 """The source and the argument types of a kernel, and a stamp of all that its code depends on.
 
-A record of arrays is a NamedTuple with fields annotated in the same way; plain tuples are
-`tuple[...]`, numbers `int`, `float` and `bool`.
+Annotations give the types of arguments. A record of arrays is a NamedTuple with fields annotated in
+the same way; plain tuples are `tuple[...]`, numbers `int`, `float` and `bool`.
 """
 
 from __future__ import annotations

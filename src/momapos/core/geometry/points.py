@@ -1,6 +1,6 @@
 """Sample points evenly, and measure how far the points of a cloud are apart.
 
-The numbers equal those of `scipy.stats.qmc`, which is slow to import.
+The samples equal those of `scipy.stats.qmc`, which is slow to import.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 `T_a_b` maps coordinates in b to a; `Ts_` is a batch over leading axes. Rotations equal those of
 `scipy.spatial.transform` to the last bit; that module is slow to import.
 
-`T_a_b` of three dimensions is `transforms.pose_planar`; here points and poses stay rows.
+Planar points and poses stay rows; `pose_planar` makes a transform of one.
 """
 
 from __future__ import annotations

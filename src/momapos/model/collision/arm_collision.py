@@ -3,9 +3,9 @@
 Bounding spheres cull whole links first. If the spheres of two links almost touch, or are too coarse
 for this pair, the links' hulls decide. A check returns a code: FREE, SELF, FLOOR or a box index.
 
-They check the states of a motion several times as fast as the kernels of single states.
-`arm_collision` defines what a collision is. Spheres grow by `ROUNDING`, so that no collision is
-missed. Where only hulls tell, the caller asks the kernels of single states.
+The kernels of eight states check a motion several times as fast, in single precision. Their spheres
+grow by `ROUNDING`, so that no collision is missed. Where only hulls decide, the caller uses the
+kernels of single states.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The robot as spheres, for the batched collision kernels.
 
-They move with no segment of the chain. For planning, their shapes are those of all their positions;
-the exact check and the simulation move them.
+Links outside the chain that follow its joints, such as a head that follows the torso, move with no
+segment of it. For planning, their shapes are those of all their positions; the exact check and the
+simulation move them.
 
 Spheres protrude slightly from a shape, or leave points uncovered by at most `MARGIN`. The exact
 check at the end of planning makes the final decision, see `momapos.verification`.

@@ -2,9 +2,6 @@
 
 Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
 (2022), after Paden (1986) and Kahan (1983).
-
-Source: Elias and Wen, IK-Geo: Unified robot inverse kinematics using subproblem decomposition
-(2022).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ other arms use damped Newton steps from the seeds with the nearest tool poses.
 
 Newton steps also remove the remaining error of a closed form (published URDFs round pi/2). For arms
 without closed form, and if no sample of locked joints has a solution, Newton starts at the seeds
-with the nearest tool poses; see `ik_model`.
+with the nearest tool poses.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Hands that do not come fully open, and compliant fingertips.
 
-Flexible strips, linkages and soft cups keep such fingertips facing each other. Planning rotates
-them accordingly, and the simulation adds a joint that does it.
+Flexible strips, linkages and soft cups keep compliant fingertips facing each other. Planning
+rotates them accordingly, and the simulation adds a joint that does it.
 
 A hand that is open to a width is the same robot with other rest values of its finger joints. Arm,
 inverse kinematics and reachability map stay, and everything that reads a robot needs nothing new.

@@ -1,13 +1,13 @@
 """Expand one xacro file; the program of the process that `expand_xacro` starts.
 
+It prints JSON: the URDF or the reason why there is none, the tags without a prefix, and the
+switches that are off. No file runs code in it: a small grammar evaluates what the library gives
+to `eval`, and `Gate` refuses files outside the folders of the robot, and everything but reading.
+
 The expressions are Python's, and xacro gives them to `eval`. Whoever reads a file then runs its
 code: a list of forbidden names does not help, since every object leads to all classes of Python.
 Here an expression is a tree of the nodes of `_NODES`; it calls the functions of this module and
 the methods of `_METHODS`, and no value grows beyond the limits below.
-
-It prints JSON: the URDF or the reason why there is none, the tags without a prefix, and the
-switches that are off. No file runs code in it: `xacro_expressions` evaluates what the library gives
-to `eval`, and `Gate` refuses files outside the folders of the robot, and everything but reading.
 """
 
 from __future__ import annotations

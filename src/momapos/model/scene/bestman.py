@@ -1,11 +1,8 @@
 """Scenes in the BestMan format: a JSON list of models with poses.
 
-The text is parsed, never executed: only plain operators on floats, within limits of time and
-memory.
-
-`{model_path, object_position, object_orientation (roll, pitch, yaw), scale, obj_name,
-fixed_base}`; numbers can be arithmetic text. Model paths are relative to the folder that contains
-`Asset`. The format has no floor and no start.
+`{model_path, object_position, object_orientation (roll, pitch, yaw), scale, obj_name, fixed_base}`;
+numbers can be arithmetic text, which is parsed and never executed. Model paths are relative to the
+folder that contains `Asset`. The format has no floor and no start.
 """
 
 from __future__ import annotations

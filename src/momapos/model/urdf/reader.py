@@ -1,6 +1,6 @@
 """Read untrusted URDF files, versions 1.0 to 1.2, into frozen records, scaled to meters.
 
-`urdf_tree` checks the file; `link_elements` and `joint_elements` convert it; this module checks
+`urdf_tree` checks the file and converts its elements; this module checks
 which files the URDF names (none outside the root folder) and the result (a tree, unique names).
 """
 

@@ -4,8 +4,9 @@ Mask2Former leaves `bbox` at zero. A mask is the lengths of alternating runs of 
 column. As text, each is a variable-length number of 5 bits per character, and from the third on the
 difference to the one before the last (cocoapi, common/maskApi.c).
 
-Accepted are COCO's dataset files ("categories", "images"), Omni3D's category_meta.json
-("thing_classes", "thing_dataset_id_to_contiguous_id"), and a list of names counted from 0.
+Category names are read from COCO's dataset files ("categories", "images"), Omni3D's
+category_meta.json ("thing_classes", "thing_dataset_id_to_contiguous_id"), and a list of names
+counted from 0.
 
 Detectron2's `COCOEvaluator` writes a list of results, whose `category_id` are those of the dataset:
 for COCO 1 to 90 with gaps. Omni3D's evaluator adds the corners of a 3-D box in the camera's frame.

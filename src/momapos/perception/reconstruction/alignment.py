@@ -1,7 +1,7 @@
 """Fit parts of a face, given as fractions of it, to each other in meters.
 
-The inner line of such a frame is as dark as a seam. A frame differs from a seam by its symmetry: it
-has two sides, so its lines are equally far from the edges of the leaf.
+The inner line of a leaf's frame is as dark as a seam. The frame differs from a seam by its
+symmetry: it has two sides, so its lines are equally far from the edges of the leaf.
 
 Frame of a face: its origin is the lower left corner as seen from the front, x right, z up.
 """

@@ -4,9 +4,9 @@ The small motion that aligns the surfaces of two images is estimated by point-to
 Medioni, 1991). Between consecutive images it is the noise of poses and depth. Between images of one
 place that were taken far apart in time it is the drift of the poses.
 
-Files rarely state them. Under the right ones, the surfaces of an image lie on those of the next
-image after the motion of the camera; under wrong ones, they don't. The comparison is relative to
-the depth, so that a wrong unit does not look more exact.
+Files rarely state their conventions. Under the right ones, the surfaces of an image lie on those of
+the next image after the motion of the camera; under wrong ones, they don't. The comparison is
+relative to the depth, so that a wrong unit does not look more exact.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Read instances that another program found in the same cloud.
 
-The 20 classes of the first benchmark use the numbers of NYU40; the 200 classes use ScanNet's own.
-One number has different meanings in the two.
+The 20 classes of ScanNet's first benchmark use the numbers of NYU40; the 200 classes use ScanNet's
+own. One number has different meanings in the two.
 
 Supported are the ScanNet export of Mask3D, the masks of OpenMask3D, one label per point, and boxes
 as JSON. The format is detected from the content.

@@ -1,7 +1,8 @@
 """Fit boxes to instances: remove outliers, snap faces, guess labels from sizes.
 
-A table of rules, one per kind. It is a fallback for instances without a label, and it errs where
-objects look alike from outside, such as a dishwasher behind a cabinet front.
+Labels by size come from a table of rules, one per kind. It is a fallback for instances without a
+label, and it errs where objects look alike from outside, such as a dishwasher behind a cabinet
+front.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Plan free arm motions between two states: a straight line, RRT-Connect or OMPL; round corners.
 
-Two trees grow toward samples and toward each other (Kuffner and LaValle, RRT-Connect, ICRA 2000),
-always the smaller one (Kuffner and LaValle, Balanced Bidirectional RRT Search, 2005). A node whose
-extension failed ignores samples that are far from it (Yershova et al., Dynamic-Domain RRTs, ICRA
-2005). Samples are Halton points, which cover the joint ranges more evenly than random ones. Some
-are near a node instead: they lead out of a narrow place, where samples of the whole range are rare
-(Hsu, Latombe and Motwani, Path Planning in Expansive Configuration Spaces, 1999).
+In RRT-Connect, two trees grow toward samples and toward each other (Kuffner and LaValle, RRT-
+Connect, ICRA 2000), always the smaller one (Kuffner and LaValle, Balanced Bidirectional RRT Search,
+2005). A node whose extension failed ignores samples that are far from it (Yershova et al., Dynamic-
+Domain RRTs, ICRA 2005). Samples are Halton points, which cover the joint ranges more evenly than
+random ones. Some are near a node instead: they lead out of a narrow place, where samples of the
+whole range are rare (Hsu, Latombe and Motwani, Path Planning in Expansive Configuration Spaces,
+1999).
 
 A corner becomes a quintic Bezier curve that leaves and joins the path with its direction and
 without curvature, so that the rounded path has continuous curvature. It lies in the triangle of its

@@ -1,12 +1,12 @@
 """Plan for arms with fewer or more joints than a tool pose needs.
 
-Such an arm reaches few tool poses exactly, so it can hardly move a rigid grasp along an arc. If the
-hand may turn about the bar that it holds, the turn becomes an additional joint without links, which
-inverse kinematics solves like the others. Along a straight line such an arm can also move a rigid
-grasp, but only from base poses on a curve: samples are moved to that curve.
+An arm of fewer joints reaches few tool poses exactly, so it can hardly move a rigid grasp along an
+arc. If the hand may turn about the bar that it holds, the turn becomes an additional joint without
+links, which inverse kinematics solves like the others. Along a straight line such an arm can also
+move a rigid grasp, but only from base poses on a curve: samples are moved to that curve.
 
-The path search chooses a posture at each waypoint, so that joints turn back and forth between them
-while the tool moves evenly; the arm would stop at each turn.
+With more joints, the path search chooses a posture at each waypoint, so that joints turn back and
+forth between them while the tool moves evenly; the arm would stop at each turn.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The motion of a task: tool poses of every grasp at every step, and turns between grasps.
 
-Grasps that differ only by such a turn form a group. The hand may change between them during the
-motion: its angle about the bar is an additional joint of the path over the waypoints.
+Grasps that differ only by a turn about the axis of a bar or a knob form a group. The hand may
+change between them during the motion: its angle about the bar is an additional joint of the path
+over the waypoints.
 """
 
 from __future__ import annotations

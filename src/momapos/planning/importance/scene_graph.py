@@ -1,6 +1,6 @@
 """The scene graph: objects as nodes, and the relations on, in, inside and near as edges.
 
-It is stacked over the whole scene once, so that the kernels run over plain arrays.
+The geometry is stacked over the whole scene once, so that the kernels run over plain arrays.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Scorers of objects relative to a target, all with the same signature.
 
-The training is a kernel of plain arithmetic in a fixed order, so that a seed gives the same vectors
-on every machine. A BLAS sums in an order that depends on the processor, and the chain of small
-updates amplifies its rounding to 2e-4 in the cosine (measured with gensim, one worker).
+The training of the skip-gram is a kernel of plain arithmetic in a fixed order, so that a seed gives
+the same vectors on every machine. A BLAS sums in an order that depends on the processor, and the
+chain of small updates amplifies its rounding to 2e-4 in the cosine (measured with gensim, one
+worker).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ the clearance allows, drives, and turns again. A car-like base turns on arcs. Th
 goal is the same in reverse.
 
 A start or goal need not be a state of the lattice. Simple paths connect it to nearby states. If
-obstacles are too close for that, they lead through its exits (`lattice_connection`).
+obstacles are too close for that, they lead through its exits.
 """
 
 from __future__ import annotations

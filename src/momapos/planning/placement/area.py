@@ -2,8 +2,8 @@
 
 Source: MoMa-Pos, section III-C.
 
-Questions for other values of the same joint, and for other grasps, use the same grid: only the
-moving part and the arm's reach differ.
+What stands still is remembered on a grid: questions for other values of the same joint, and for
+other grasps, use the same grid: only the moving part and the arm's reach differ.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Score base poses: reach of the grasp modes, and attraction of the waypoints.
 
-Source: MoMa-Pos, section III-C. The paper sums over waypoints and tests the line of sight
-against whole boxes. Here the weakest waypoint counts, the value lies in [0, 1], and the boxes
+The attraction: source MoMa-Pos, section III-C. The paper sums over waypoints and tests the line of
+sight against whole boxes. Here the weakest waypoint counts, the value lies in [0, 1], and the boxes
 are those of the static parts.
 """
 

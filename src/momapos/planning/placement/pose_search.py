@@ -1,7 +1,8 @@
 """Search base poses: sample the free area A and check poses by expected cost.
 
-Samples of the whole floor are far apart. The search draws samples around the best pose, checks the
-cheapest that can be as robust, and repeats this around the new pose; at the end in a smaller box.
+Samples of the whole floor are far apart. To improve a pose that works, the search draws samples
+around the best pose, checks the cheapest that can be as robust, and repeats this around the new
+pose; at the end in a smaller box.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Write imported rooms as momapos scenes, and momapos scenes as MJCF.
 
-All parts of an object are named OBJECT/PART. A custom text contains what MJCF cannot express (the
-floor's outline, the start, areas, categories, and confidences), so that reading the file returns
-the same scene. Furniture collides only with other bodies: parts that touch by design, such as a
-drawer and its cabinet, would be stuck.
+In MJCF, parts of an object are named OBJECT/PART. A custom text contains what MJCF cannot express
+(the floor's outline, the start, areas, categories, and confidences), so that reading the file
+returns the same scene. Furniture collides only with other bodies: parts that touch by design, such
+as a drawer and its cabinet, would be stuck.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Read MoveIt planning scenes: `.scene` files, and messages in YAML.
 
-The format is that of MoveIt's `PlanningScene::saveGeometryToStream`. Since 2020 each object has its
-own pose and subframes; older files have neither.
+`.scene` files have the format of MoveIt's `PlanningScene::saveGeometryToStream`. Since 2020 each
+object has its own pose and subframes; older files have neither.
 
-Fixed shapes of a room, as `ros2 topic echo` prints them and as collections of planning problems
-store them. The text format `.scene` is another one, see `moveit`.
+Messages are in YAML, as `ros2 topic echo` prints them and as collections of planning problems store
+them.
 """
 
 from __future__ import annotations
