@@ -50,6 +50,12 @@ from .files import resolved as resolved
 from .files import temporary_folder as temporary_folder
 from .files import write_atomic as write_atomic
 from .forking import fork_safe_lock as fork_safe_lock
+from .known_keys import ChosenName as ChosenName
+from .known_keys import Keys as Keys
+from .known_keys import Named as Named
+from .known_keys import Parents as Parents
+from .known_keys import keys_of as keys_of
+from .known_keys import unknown_keys as unknown_keys
 from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array
 from .stopwatch import GRACE_PERIOD as GRACE_PERIOD

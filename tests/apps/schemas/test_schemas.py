@@ -6,7 +6,6 @@ import copy
 import json
 import shutil
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +22,8 @@ from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_
 from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
 from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_file import EACH, ROBOT_KEYS
 from momapos.model.robots.robot_names import library_file, library_names
 from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_keys import SCENE_KEYS, Named
 from momapos.model.scene.scene_names import LIBRARY, builtin_names
 from momapos.model.trajectory import with_times
 from momapos.planning.grasps.task_requests import make_task
@@ -115,28 +112,6 @@ def test_built_in_scenes_match_their_schema(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", library_names())
 def test_robots_of_the_library_match_their_schema(name: str) -> None:
     check("robot", tomllib.loads(library_file(name).read_text()))
-
-
-def test_the_members_of_a_scene_are_those_that_the_reader_knows() -> None:
-    made = schema_of("scene")
-    parts = {name: set(part.get("properties", ())) for name, part in made["$defs"].items()}
-    assert isinstance(SCENE_KEYS, Mapping)
-    assert set(made["properties"]) == set(SCENE_KEYS)
-    entry, walls = SCENE_KEYS["objects"], SCENE_KEYS["walls"]
-    assert isinstance(entry, Mapping)
-    assert isinstance(walls, Mapping)
-    assert parts["SceneEntry"] == set(entry)
-    assert parts["SceneWall"] == set(walls)
-    for name, key in (
-        ("ScenePose", "pose"), ("SceneLatch", "latch"), ("SceneConfidence", "confidence"),
-    ):  # fmt: skip
-        known = entry[key]
-        assert isinstance(known, Mapping)
-        assert parts[name] == set(known)
-    named = entry["hypotheses"]
-    assert isinstance(named, Named)
-    assert isinstance(named.value, Mapping)
-    assert parts["SceneHypothesis"] == set(named.value)
 
 
 @pytest.mark.parametrize("status", ["solved", "infeasible"])
@@ -228,20 +203,6 @@ def test_the_schema_of_scenes_refuses_what_the_reader_refuses(
     file.write_text(json.dumps(scene))
     with pytest.raises(InputError):
         load_scene(file)
-
-
-def test_the_members_of_a_robot_file_are_those_that_the_reader_knows() -> None:
-    made = schema_of("robot")
-    records = {name: set(part["properties"]) for name, part in made["$defs"].items()}
-    assert set(made["properties"]) == set(ROBOT_KEYS)
-    for key, record in (
-        ("base", "RobotBase"), ("tool", "RobotTool"), ("arms", "RobotArm"),
-        ("frames", "RobotFrame"), ("mount", "RobotMount"), ("coupled", "RobotCoupling"),
-        ("limits", "RobotLimits"),
-    ):  # fmt: skip
-        known = ROBOT_KEYS[key]
-        assert known is not None
-        assert records[record] == set(known.get(EACH) or known)
 
 
 def test_misspelled_members_of_files_that_people_write_do_not_match() -> None:

@@ -8,8 +8,12 @@ from typing import Any
 
 import pytest
 
+from momapos.core.known_keys import keys_of
 from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_keys import MAX_IGNORED_KEYS, SCENE_KEYS, ignored_keys
+from momapos.model.scene.scene_keys import MAX_IGNORED_KEYS, ignored_keys
+from momapos.model.scene.scene_members import SceneFile
+
+SCENE_KEYS = keys_of(SceneFile)
 
 BOX: dict[str, Any] = {"name": "crate", "pose": {"xyz": [1, 0, 0.2]}, "box": [0.4, 0.4, 0.4]}
 
@@ -83,7 +87,11 @@ def test_a_million_unknown_keys_give_a_bounded_report(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [None, 3, "text", [1, [2]], {"a": {"b": []}}])
 def test_values_of_any_kind_are_searched_without_an_error(value: object) -> None:
-    data = dict.fromkeys(SCENE_KEYS if isinstance(SCENE_KEYS, dict) else (), value)
+    data = dict.fromkeys(SCENE_KEYS, value)
     assert len(ignored_keys(data, SCENE_KEYS, "room.json")) <= 4
     item = {"pose": value, "hypotheses": value, "confidence": value}
     assert len(ignored_keys({"objects": [item, value]}, SCENE_KEYS, "room.json")) <= 4
+
+
+def test_a_scene_may_name_its_schema(tmp_path: Path) -> None:
+    assert load_scene(write(tmp_path, **{"$schema": "scene.schema.json"})).warnings == ()

@@ -139,11 +139,11 @@ _BASE: Schema = {
 def schema_of(name: str) -> Schema:
     """Return the JSON Schema of a format, one of `SCHEMAS`."""
     title, make = SCHEMAS[name]
-    return {"$schema": DIALECT, "title": title, **make()}
+    return {"$schema": DIALECT, "$id": f"urn:momapos:schema:{name}", "title": title, **make()}
 
 
 def _scene() -> Schema:
-    from .scene_file import SceneFile
+    from momapos.model.scene import SceneFile
 
     made = _schema(SceneFile)
     entry = made["$defs"]["SceneEntry"]
@@ -157,7 +157,7 @@ def _scene() -> Schema:
 
 
 def _robot() -> Schema:
-    from .robot_file import RobotFile
+    from momapos.model.robots import RobotFile
 
     made = _schema(RobotFile)
     arm = ["tool_link", "arm_joints", "gripper_links", "home", "tool"]

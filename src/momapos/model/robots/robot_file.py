@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,46 +16,24 @@ from momapos.core import (
     FileFormatError,
     RobotError,
     is_name,
+    keys_of,
     read_bytes_bounded,
     resolved,
+    unknown_keys,
     unknown_name,
 )
 from momapos.model.urdf import Articulated, Mimic, once
 
 from .amended_urdf import ZERO, AddedFrame, Amendments, Mount, Triple
+from .robot_members import RobotFile
 from .srdf import srdf_next_to
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-EACH = "*"
-"""Stands for names that the user chooses, such as joints."""
 MAX_IGNORED_KEYS = 20
 """Unknown keys of a file that are reported one by one [-]."""
-Keys: TypeAlias = "Mapping[str, Keys] | None"
-"""Known keys of a table; None for values without keys."""
-
-_ARM: dict[str, Keys] = {
-    **dict.fromkeys(("tool_link", "arm_joints", "gripper_links", "home", "reach", "payload")),
-    "tool": dict.fromkeys(("approach_axis", "closing_axis", "opening", "grips", "force")),
-}
-ROBOT_KEYS: Mapping[str, Keys] = {
-    **dict.fromkeys(("version", "name", "urdf", "srdf", "base_link", "visual_hulls")),
-    "base": dict.fromkeys((
-        "footprint", "drive", "min_turning_radius", "max_speed", "max_yaw_rate",
-        "max_acceleration", "max_yaw_acceleration",
-    )),
-    **_ARM,
-    "arms": {EACH: _ARM},
-    "rest": {EACH: None},
-    "frames": {EACH: dict.fromkeys(("parent", "xyz", "rpy"))},
-    "mount": dict.fromkeys(("box", "urdf", "link", "xyz", "rpy")),
-    "packages": {EACH: None},
-    "coupled": {EACH: dict.fromkeys(("joint", "ratio", "offset"))},
-    "limits": {EACH: dict.fromkeys(("lower", "upper", "velocity", "acceleration"))},
-}  # fmt: skip
-"""Keys of a robot file."""
 
 
 def ignored_keys(data: Mapping[str, Any], name: str) -> tuple[str, ...]:
@@ -65,23 +43,16 @@ def ignored_keys(data: Mapping[str, Any], name: str) -> tuple[str, ...]:
         data: Content of the file.
         name: The file, for the lines.
     """
-    found = list(_unknown(data, ROBOT_KEYS, ""))
-    lines = [f"{key} of {name} is not known and was ignored{hint}" for key, hint in found]
+    lines = []
+    for parents, key, known in unknown_keys(data, keys_of(RobotFile)):
+        near = difflib.get_close_matches(key, known, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        path = ".".join(map(str, (*parents, key)))
+        lines.append(f"{path!r:.80} of {name} is not known and was ignored{hint}")
     if len(lines) > MAX_IGNORED_KEYS:
         rest = f"{len(lines) - MAX_IGNORED_KEYS} more keys of {name} are not known"
         return (*lines[:MAX_IGNORED_KEYS], rest)
     return tuple(lines)
-
-
-def _unknown(data: object, keys: Keys, prefix: str) -> Iterator[tuple[str, str]]:
-    if keys is None or not isinstance(data, Mapping):
-        return
-    for key, value in data.items():
-        if key in keys or EACH in keys:
-            yield from _unknown(value, keys.get(key, keys.get(EACH)), f"{prefix}{key}.")
-        else:
-            near = difflib.get_close_matches(key, keys, n=1)
-            yield f"{f'{prefix}{key}'!r:.80}", f"; did you mean {near[0]!r}?" if near else ""
 
 
 class TomlTable:

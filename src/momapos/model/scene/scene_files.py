@@ -24,6 +24,7 @@ from momapos.core import (
     SceneError,
     as_path,
     expect,
+    keys_of,
     read_text_bounded,
     resolved,
     write_atomic,
@@ -45,7 +46,8 @@ from .object_reader import (
     usual_edge,
 )
 from .scene import Scene, read_areas, read_floor, read_numbers, read_start
-from .scene_keys import BESTMAN_KEYS, SCENE_KEYS, ignored_keys
+from .scene_keys import BESTMAN_KEYS, ignored_keys
+from .scene_members import SceneFile
 from .scene_names import FORMAT, MAX_BYTES, find_scene
 from .scene_object import (
     WALL_HEIGHT,
@@ -358,7 +360,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
     if not isinstance(items, list) or len(items) > MAX_OBJECTS:
         raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     models.root = root = resolved(models.root or path.parent)
-    ignored = ignored_keys(data, SCENE_KEYS, f"{path}")
+    ignored = ignored_keys(data, keys_of(SceneFile), f"{path}")
     objects = []
     for index, item in enumerate(items):
         where = f"{path}: object {index}"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, TypeAlias
+from typing import Any
+
+from momapos.core import ChosenName, Keys, Parents, unknown_keys
 
 MAX_IGNORED_KEYS = 100
 """Maximum number of unknown keys of a file that are reported one by one [-]."""
@@ -14,44 +16,6 @@ MAX_LISTED_KEYS = 5
 """The known keys are listed if no similar one exists and if they are at most this many [-]."""
 
 
-@dataclass(frozen=True)
-class Named:
-    """A mapping whose keys are names that the user chooses, such as joints."""
-
-    value: Keys
-
-
-Keys: TypeAlias = "Mapping[str, Keys] | Named | None"
-"""Known keys of a value, or of each item of a list; None for values without keys."""
-
-_HYPOTHESIS: Keys = dict.fromkeys(("kind", "probability", "point", "axis", "upper"))
-_OBJECT: Keys = {
-    "name": None,
-    "category": None,
-    "pose": {"xyz": None, "wxyz": None},
-    "urdf": None,
-    "scale": None,
-    "box": None,
-    "joints": Named(None),
-    "closed": Named(None),
-    "mass": None,
-    "resistance": Named(None),
-    "latch": dict.fromkeys(("joint", "to", "holds")),
-    "hypotheses": Named(_HYPOTHESIS),
-    "confidence": {"object": None, "label": None, "joints": Named(None), "handles": Named(None)},
-}
-SCENE_KEYS: Keys = {
-    "format": None,
-    "version": None,
-    "name": None,
-    "floor": None,
-    "walls": dict.fromkeys(("from", "to", "height", "thickness")),
-    "map": None,
-    "start": {"x": None, "y": None, "yaw": None},
-    "areas": Named(None),
-    "objects": _OBJECT,
-}
-"""Keys of a momapos scene."""
 BESTMAN_KEYS: Keys = dict.fromkeys((
     "obj_name", "model_path", "object_position", "object_orientation", "scale", "fixed_base",
     "note",
@@ -95,34 +59,33 @@ def ignored_keys(data: Any, keys: Keys, where: str) -> tuple[IgnoredKey, ...]:
         keys: The keys that it may have.
         where: The file, for messages.
     """
-    found = tuple(islice(_unknown(data, keys, where, ""), MAX_IGNORED_KEYS + 1))
-    if len(found) > MAX_IGNORED_KEYS:
-        rest = IgnoredKey(where, "", "...", f"more than {MAX_IGNORED_KEYS} unknown keys")
-        return (*found[:MAX_IGNORED_KEYS], rest)
-    return found
+    unknown = tuple(islice(unknown_keys(data, keys), MAX_IGNORED_KEYS + 1))
+    found = tuple(
+        IgnoredKey(*_at(data, parents, where), key, _advice(key, known))
+        for parents, key, known in unknown[:MAX_IGNORED_KEYS]
+    )
+    if len(unknown) <= MAX_IGNORED_KEYS:
+        return found
+    rest = IgnoredKey(where, "", "...", f"more than {MAX_IGNORED_KEYS} unknown keys")
+    return (*found, rest)
 
 
-def _unknown(data: Any, keys: Keys, where: str, owner: str) -> Iterator[IgnoredKey]:
-    if keys is None:
-        return
-    if isinstance(data, list):
-        for index, item in enumerate(data):
-            named = _name_of(item) if not owner else ""
+def _at(data: Any, parents: Parents, where: str) -> tuple[str, str]:
+    """Return where a key stands, in words, and the name of the object that it belongs to."""
+    owner, item = "", data
+    for part in parents:
+        item = item[part]
+        if isinstance(part, int) and owner:
+            where = f"{where} {part}"
+        elif isinstance(part, int):
+            owner = _name_of(item)
             what = "wall" if where.endswith(": walls") else "object"
-            at = f"{where} {index}" if owner else f"{where}: {what} {index}"
-            yield from _unknown(item, keys, f"{at} ({named!r})" if named else at, owner or named)
-        return
-    if not isinstance(data, dict):
-        return
-    if isinstance(keys, Named):
-        for name, value in data.items():
-            yield from _unknown(value, keys.value, f"{where}: {name!r:.80}", owner)
-        return
-    for key in sorted(set(data) - set(keys)):
-        yield IgnoredKey(where, owner, key, _advice(key, sorted(keys)))
-    for key in (known for known in keys if known in data):
-        at = where if key == "objects" and not owner else f"{where}: {key}"
-        yield from _unknown(data[key], keys[key], at, owner)
+            where = f"{where}: {what} {part}" + (f" ({owner!r})" if owner else "")
+        elif isinstance(part, ChosenName):
+            where = f"{where}: {part!r:.80}"
+        elif part != "objects" or owner:
+            where = f"{where}: {part}"
+    return where, owner
 
 
 def _name_of(item: Any) -> str:
@@ -130,7 +93,7 @@ def _name_of(item: Any) -> str:
     return name[:80] if isinstance(name, str) else ""
 
 
-def _advice(key: str, known: list[str]) -> str:
+def _advice(key: str, known: Sequence[str]) -> str:
     meant = _MEANT.get(key.lower(), "")
     near = [meant] if meant in known else difflib.get_close_matches(key.lower(), known, n=1)
     if near:

@@ -1,4 +1,4 @@
-"""The members of a scene file, for its schema; `momapos.model.scene` reads them."""
+"""The members of a scene file: its schema, its list of members and its known keys follow."""
 
 from __future__ import annotations
 
@@ -147,5 +147,7 @@ class SceneFile(_Strict):
     map: str | None = None
     """Path of a Nav2 map (YAML), whose occupied cells become walls."""
     start: SceneStart | None = None
+    schema: str | Unset = msgspec.field(default=UNSET, name="$schema")
+    """Address of the file's JSON Schema, for editors."""
     areas: dict[str, Outline] = {}
     """Named areas for restrictions of the base pose, by name."""

@@ -1,4 +1,4 @@
-"""The members of a robot file, for its schema; `momapos.model.robots` reads them.
+"""The members of a robot file: its schema, its list of members and its known keys follow.
 
 Robot files are TOML. The schema describes the same members in JSON.
 """
@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from .scene_file import Triple
-
+Triple = tuple[float, float, float]
 Positive = Annotated[float, msgspec.Meta(gt=0, lt=1e6)]
 Corner = Annotated[float, msgspec.Meta(ge=-5, le=5)]
 Name = Annotated[str, msgspec.Meta(min_length=1)]
@@ -153,5 +152,7 @@ class RobotFile(_ArmMembers, kw_only=True):
     """Followers by joint."""
     limits: dict[str, RobotLimits] = {}
     """Replaced limits by joint."""
+    schema: str | msgspec.UnsetType = msgspec.field(default=msgspec.UNSET, name="$schema")
+    """Address of the file's JSON Schema, for editors."""
     visual_hulls: bool = False
     """Whether hulls of visual meshes stand in for missing collision elements."""
