@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from typing import Any, get_type_hints
 
-from momapos.core import InputError, finite_number
+from momapos.core import InputError
 
 from .bounds import MIN_TIMEOUT, ended_after
 from .options import SecondsArg
@@ -34,6 +34,8 @@ def with_time_limit(command: Callable[..., int]) -> Callable[..., int]:
     def limited(*values: Any, timeout: float | None = None, **options: Any) -> int:
         if timeout is None:
             return command(*values, **options)
+        from momapos.core import finite_number  # msgspec
+
         with ended_after(finite_number(f"--{TIMEOUT}", timeout, MIN_TIMEOUT)):
             return command(*values, **options)
 
