@@ -129,7 +129,7 @@ def test_unusable_input_is_one_line_and_status_2(
 def test_a_lack_of_memory_is_one_line_and_status_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def too_large(**_: object) -> int:
+    def too_large() -> int:
         return len(np.zeros(2**62, np.uint8))
 
     monkeypatch.setattr("momapos.apps.cli.robot.robot_list", too_large)

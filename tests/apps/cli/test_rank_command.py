@@ -53,7 +53,7 @@ def test_long_work_shows_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert main(["rank", "kitchen_small", "cup", "--scorer", "size", "--plot", str(path)]) == 0
     assert titles == ["kitchen_small: scoring 17 objects", "drawing graph.png"]
     assert main(["scene", "show", "kitchen_small", "--plot", str(path)]) == 0
-    assert titles[2:] == ["checking kitchen_small", "drawing graph.png"]
+    assert titles[2:] == ["drawing graph.png", "checking kitchen_small"]
 
 
 def test_the_figure_is_written_to_the_given_file(tmp_path: Path) -> None:

@@ -236,7 +236,14 @@ def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_i
     def refused(chain: Chain, spheres: Spheres, *args: Any) -> np.ndarray:
         return by_hulls(chain, spheres, *args) if spheres.exact.all() else np.ones(1)
 
-    monkeypatch.setattr(homes, "blocked_share", refused)
+    seen_by = homes._Search._seen_by
+
+    def seen(self: homes._Search, *args: Any) -> Any:
+        with monkeypatch.context() as patch:
+            patch.setattr(homes, "blocked_share", refused)
+            return seen_by(self, *args)
+
+    monkeypatch.setattr(homes._Search, "_seen_by", seen)
     path = tmp_path / "robot.urdf"
     path.write_text(stiff_arm(0.5))
     file, made = write_robot(path)

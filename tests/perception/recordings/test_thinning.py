@@ -34,7 +34,7 @@ def test_a_large_cloud_keeps_one_point_per_cell_and_tells_it(
 ) -> None:
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform((0, 0, 0), (1, 1, 0.004), (6000, 3)), [[np.nan] * 3]])
-    monkeypatch.setattr(ply, "MAX_POINTS", 5000)
+    monkeypatch.setattr(ply, "MAX_KEPT_POINTS", 5000)
     monkeypatch.setattr(ply, "SPACING", 0.05)
     monkeypatch.setattr(ply, "_ROWS", 1000)
     cloud, warnings = read_cloud(write_ply(tmp_path / "a.ply", points))
@@ -51,7 +51,7 @@ def test_a_large_cloud_keeps_one_point_per_cell_and_tells_it(
 def test_cells_grow_until_the_cloud_is_small(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(1)
     columns = dict(zip("xyz", rng.uniform(-1, 1, (3, 4000)), strict=True))
-    monkeypatch.setattr(ply, "MAX_POINTS", 300)
+    monkeypatch.setattr(ply, "MAX_KEPT_POINTS", 300)
     kept, rows, spacing = ply.thinned(columns, np.zeros(3))
     assert len(kept) <= 300
     assert spacing > ply.SPACING
@@ -118,7 +118,7 @@ def test_masks_of_the_file_fit_a_thinned_cloud(
     on_fridge &= cloud.points[:, 2] > 0.05
     labels = np.concatenate([[1], np.where(on_fridge, 7, 0)])
     np.save(tmp_path / "labels.npy", labels)
-    monkeypatch.setattr(ply, "MAX_POINTS", 20_000)
+    monkeypatch.setattr(ply, "MAX_KEPT_POINTS", 20_000)
     monkeypatch.setattr(ply, "SPACING", 0.03)
     scan = read_scan(write_ply(tmp_path / "a.ply", points))
     assert scan.cloud is not None

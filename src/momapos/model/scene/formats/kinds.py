@@ -72,12 +72,11 @@ def read_room(kind: Kind, path: Path, root: Path | None) -> ImportedRoom:
 def _reader(kind: Kind) -> Callable[[Path, Path], ImportedRoom]:
     """Return the reader of a format, imported on demand."""
     from . import mjcf, moveit, sdf, usd
-    from . import moveit as moveit_message
 
     readers: dict[Kind, Callable[[Path, Path], ImportedRoom]] = {
         "MJCF": mjcf.read_room,
         "MoveIt": moveit.read_room,
-        "MoveIt message": moveit_message.read_room,
+        "MoveIt message": moveit.read_message,
         "SDF": sdf.read_room,
         "USD": usd.read_room,
     }
