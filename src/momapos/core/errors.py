@@ -108,11 +108,11 @@ REQUIREMENTS: dict[Extra, tuple[str, ...]] = {
     "hdf5": ("h5py>=3.10",),
     "kitchens": ("scene-synthesizer>=1.0",),
     "parquet": ("pyarrow>=15",),
-    "physics": ("mujoco>=3.10", "pillow>=10.1"),
-    "scan": ("onnxruntime>=1.18", "pillow>=10", "rosbags>=0.10"),
+    "physics": ("mujoco>=3.10", "pillow>=10.3"),
+    "scan": ("onnxruntime>=1.18", "pillow>=10.3", "rosbags>=0.10"),
     "torch": ("torch>=2.10,<2.14",),
     "usd": ("usd-core>=25.5",),
-    "view": ("viser>=1.1",),
+    "view": ("viser>=1.1,<1.2",),
     "xacro": ("xacrodoc>=2.0",),
 }
 """Packages of each extra, as in pyproject.toml."""

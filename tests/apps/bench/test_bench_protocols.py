@@ -40,7 +40,11 @@ ALL = [
 
 
 def answer(
-    one: SuiteTask, method: str, protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+    one: SuiteTask,
+    method: str,
+    protocol: Protocol,
+    monkeypatch: pytest.MonkeyPatch,
+    timeout: float = 10.0,
 ) -> tuple[Row, PlacementResult]:
     """Run a job; return its row and the planner's result."""
     seen: list[PlacementResult] = []
@@ -52,7 +56,7 @@ def answer(
 
     with monkeypatch.context() as patch:
         patch.setattr(steps, "plan_with_method", watched)
-        job = Job("key", "unused", one, method, Settings(timeout=10.0), protocol)
+        job = Job("key", "unused", one, method, Settings(timeout=timeout), protocol)
         row = answer_job(job)
     assert row.protocol == str(protocol)
     return row, seen[-1]
@@ -100,7 +104,7 @@ def test_pinches_are_straight_holds_and_the_one_grasp_is_among_them(
     found = {}
     for grasps in ("one", "pinch", "all"):
         protocol = Protocol("retry", grasps)  # type: ignore[arg-type]
-        row, result = answer(one, "habitat", protocol, monkeypatch)
+        row, result = answer(one, "habitat", protocol, monkeypatch, timeout=2.0)
         found[grasps] = result.prepared.motion
         if row.outcome == "solved" and grasps != "all":
             assert result.plan.motion is not None

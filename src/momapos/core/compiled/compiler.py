@@ -28,8 +28,7 @@ from numba.core.typed_passes import BaseNativeLowering, NativeLowering
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import register_model
 
-from . import kernel_source as arrays
-from . import lanes
+from . import kernel_source, lanes
 from .kernel_source import KernelSource
 from .native import Code
 
@@ -237,11 +236,11 @@ _NUMBERS = {int: types.int64, float: types.float64, bool: types.boolean, np.uint
 
 def numba_type(hint: Any) -> Any:
     """Return numba's type of an entry's argument."""
-    array = arrays.array_of(hint)
+    array = kernel_source.array_of(hint)
     if array is not None:
         dtype = numba.from_dtype(array.dtype)
         return types.Array(dtype, array.ndim, "C", readonly=array.readonly)
-    members = arrays.fields(hint)
+    members = kernel_source.fields(hint)
     if members is None:
         return _NUMBERS[hint]
     inside = [numba_type(member) for member in members]
