@@ -1,9 +1,9 @@
-"""Keep the rows of a run of the paper's suites, and print its table for docs/results/paper.md.
+"""Keep the rows of a run of the paper's suites, and print its tables for docs/results/paper.md.
 
-    python benchmarks/paper_rows.py DIR [--out docs/results/rows]
+    python benchmarks/paper_rows.py DIR [--out docs/results/rows] [--name NAME]
 
-DIR is a folder of `momapos bench run paper-table` or `authors-sim`. The rows go into a compressed
-CSV file, from which a test computes every line of the table again.
+DIR is a folder of `momapos bench run paper-table`, `authors-sim`, or `paper-real --scan 60`. The
+rows go into a compressed CSV file, from which a test computes every line of the tables again.
 """
 
 from __future__ import annotations
@@ -12,15 +12,26 @@ import argparse
 import csv
 import gzip
 import io
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from momapos.apps.bench import all_rows, read_folder
+from momapos.apps.bench.bench_records import Row
 from momapos.apps.bench.metrics import succeeded
-from momapos.apps.bench.report_tables import PUBLISHED
+from momapos.apps.bench.report_tables import (
+    MODELING,
+    PUBLISHED,
+    STAGES,
+    SURVEY,
+    modeling_times,
+    scan_shares,
+)
+
+MODEL_ALL = "paper:importance.alpha=0"
 
 
 class Answer(NamedTuple):
@@ -35,6 +46,8 @@ class Answer(NamedTuple):
     """Processor time of the answer [s]."""
     driving: float
     """Driving length [m]; NaN without a plan."""
+    stages: Mapping[str, float]
+    """Processor time by stage in an answer from a scan [s]; empty in a known scene."""
 
 
 def answers_of(folder: Path) -> tuple[str, list[Answer]]:
@@ -44,6 +57,7 @@ def answers_of(folder: Path) -> tuple[str, list[Answer]]:
         Answer(
             row.task, row.group, row.method, row.protocol, succeeded(row),
             round(row.seconds or 0.0, 4), np.nan if row.driving is None else round(row.driving, 4),
+            {name: round(t, 5) for name, t in row.stages.items()} if MODELING in row.stages else {},
         )
         for row in all_rows(folder)
     ]  # fmt: skip
@@ -57,7 +71,8 @@ def write(answers: Sequence[Answer], file: Path) -> None:
     lines.writerow(Answer._fields)
     for one in answers:
         driving = "" if np.isnan(one.driving) else one.driving
-        lines.writerow([*one[:4], int(one.success), one.seconds, driving])
+        stages = json.dumps(one.stages) if one.stages else ""
+        lines.writerow([*one[:4], int(one.success), one.seconds, driving, stages])
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(gzip.compress(text.getvalue().encode(), mtime=0))
 
@@ -69,6 +84,7 @@ def read(file: Path) -> list[Answer]:
         Answer(
             row["task"], row["group"], row["method"], row["protocol"], row["success"] == "1",
             float(row["seconds"]), float(row["driving"] or "nan"),
+            json.loads(row["stages"] or "{}"),
         )
         for row in csv.DictReader(io.StringIO(text))
     ]  # fmt: skip
@@ -131,7 +147,21 @@ def phrases(answers: Sequence[Answer]) -> list[str]:
     means = [f"{np.mean(times(method)):.2f}" for method in ("paper", all_checks)]
     medians_ = [f"{np.median(times(method)):.2f}" for method in ("paper", all_checks)]
     door = {name: (rate(m, fridge), rate(m, oven)) for name, m in named.items()}
+
+    def drive(method: str, group: str) -> float:
+        return float(np.mean([a.driving for a in some(method, group) if a.success]))
+
+    saved = sorted(
+        drive(method, group) - drive("paper", group)
+        for group in ("grasp apple", "grasp cup")
+        for method in named.values()
+    )
+    retried = [a for a in answers if a.protocol != first]
+    failing = sorted({f"`{a.method}`" for a in retried if not a.success})
     return [
+        f"The {len(answers):,} answers take",
+        f"here MoMa-Pos is, by {saved[0]:.1f} to {saved[-1]:.1f} m",
+        f"every method but {' and '.join(failing)} solves all tasks",
         f"{1000 * np.median(times('paper')):.0f} ms against {median['Habitat']} (Habitat), "
         f"{median['M3*']} (M3*) and {median['Reuleaux']} (Reuleaux) for the apple",
         f"the unchecked first stop opens {unchecked} % of the microwaves",
@@ -149,6 +179,105 @@ def phrases(answers: Sequence[Answer]) -> list[str]:
     ]
 
 
+def kitchen_phrases(answers: Sequence[Answer]) -> list[str]:
+    """Return what docs/results/paper.md says of the authors' simulation in words."""
+    numbers = ("no", "one", "two", "three", "four", "five")
+    first = min(a.protocol for a in answers)
+
+    def missed(method: str) -> list[str]:
+        mine = [a for a in answers if (a.method, a.protocol) == (method, first)]
+        return [a.group.removeprefix("in ") for a in mine if not a.success]
+
+    (place,), lost = set(missed("paper")), sorted(set(missed("authors")), reverse=True)
+    return [
+        f"{len(answers)} answers",
+        f"`paper` misses {numbers[len(missed('paper'))]} of five in the {place}",
+        f"`authors` fails in {' and '.join(lost)}",
+    ]
+
+
+def scan_tables(answers: Sequence[Answer]) -> list[str]:
+    """Return the lines of the tables of a run from scans as Markdown: shares, modeling times."""
+    rows = [_row(a) for a in answers if a.success]
+    lines = []
+    methods = sorted({row.method for row in rows}, key=_order)
+    for method in methods:
+        mine = [row for row in rows if row.method == method]
+        for words, without in (("", ()), (f", without the {SURVEY}", (SURVEY,))):
+            shares = scan_shares(mine, without)
+            cells = [f"{shares[s]:.1f} %" if s in shares else "-" for s in (SURVEY, *STAGES)]
+            lines.append(f"| `{method}`{words} | {' | '.join(cells)} |")
+    tasks = PUBLISHED["paper-real"].tasks
+    counts = [len({row.task for row in rows if row.group == task}) for task in tasks]
+    heads = [f"{task} ({count})" for task, count in zip(tasks, counts, strict=True)]
+    lines.append(f"| | {' | '.join(heads)} | all |")
+    times = modeling_times(rows)
+    for method in methods:
+        spent = [row.stages[MODELING] for row in rows if row.method == method]
+        cells = [f"{times[method].get(task, np.nan):.2f} s" for task in tasks]
+        lines.append(f"| `{method}` | {' | '.join([*cells, f'{np.mean(spent):.2f} s'])} |")
+    return lines
+
+
+def scan_phrases(answers: Sequence[Answer], unseen: Sequence[Answer]) -> list[str]:
+    """Return what the pages say in words of the runs from scans.
+
+    Args:
+        answers: In the layouts that showed the faults.
+        unseen: In layouts that did not.
+    """
+    (same,) = {
+        frozenset(a.task for a in answers if a.success and a.method == method)
+        for method in {a.method for a in answers}
+    }
+    tasks = {a.task for a in answers}
+    layouts = {task.split()[1] for task in tasks}
+    new = {m: sum(a.success for a in unseen if a.method == m) for m in ("ours", "paper")}
+    many = len({a.task for a in unseen})
+    good = [a for a in answers if a.success and a.method == "paper"]
+    total = np.array([a.seconds for a in good])
+    boxes = np.array([a.stages[SURVEY] for a in good])
+    rows = [_row(a) for a in answers if a.success]
+    whole, alone = (
+        scan_shares([row for row in rows if row.method == "paper"], without)
+        for without in ((), (SURVEY,))
+    )
+    models, images = {}, {}
+    for method in ("paper", MODEL_ALL):
+        mine = [row.stages for row in rows if row.method == method]
+        models[method] = np.mean([stages[MODELING] for stages in mine])
+        images[method] = np.mean([stages[MODELING] + stages[SURVEY] for stages in mine])
+    saves, later = (100 * (1 - one["paper"] / one[MODEL_ALL]) for one in (models, images))
+    checks = [sum(t for s, t in a.stages.items() if s not in (SURVEY, *STAGES)) for a in good]
+    chosen = ("potential", "importance")
+    return [
+        f"[{len(same)} of {len(tasks)}](results/paper.md#from-a-scan), and {new['paper']} of "
+        f"{many} in layouts that were not looked at",
+        f"{len(tasks)} tasks in {len(layouts)} layouts, of which each method solves the same "
+        f"{len(same)}",
+        f"`ours` solves {new['ours']} and `paper` {new['paper']}",
+        f"takes {np.median(total):.1f} s of processor time (median; {total.max():.0f} s at most), "
+        f"{np.median(boxes):.1f} s of it for the survey",
+        f"yes: {np.median(total):.1f} s with a scan (median, {total.max():.0f} s at most); "
+        f"potential and importance {sum(whole[s] for s in chosen):.1f} %, without the boxes of the "
+        f"objects {sum(alone[s] for s in chosen):.1f} %",
+        f"yes: {models['paper']:.2f} s instead of {models[MODEL_ALL]:.2f} s",
+        f"with them importance saves {later:.0f} %",
+        f"Importance saves {saves:.0f} % of the modeling time, and {later:.0f} % of the time",
+        f"{alone[MODELING]:.0f}, {alone['checks']:.0f}, {alone['potential']:.1f}, "
+        f"{alone['importance']:.1f} %. With them, boxes and models take "
+        f"{whole[SURVEY] + whole[MODELING]:.0f} %",
+        f"the checks of an answer take {np.mean(checks):.1f} s",
+    ]
+
+
+def _row(answer: Answer) -> Row:
+    """Return a solved answer as a row of the benchmark."""
+    return Row(
+        "", answer.task, answer.group, "", answer.method, 0, "solved", stages=answer.stages
+    )  # fmt: skip
+
+
 def _order(method: str) -> tuple[int, str]:
     first = ("ours", "paper", "authors", "habitat", "m3", "reuleaux")
     return first.index(method.partition(":")[0]), method
@@ -158,7 +287,9 @@ def _cell(answers: Sequence[Answer]) -> str:
     good = [a for a in answers if a.success]
     if not good:
         return "-, -, 0"
-    seconds, driving = (float(np.mean([getattr(a, f) for a in good])) for f in Answer._fields[-2:])
+    seconds, driving = (
+        float(np.mean([getattr(a, f) for a in good])) for f in ("seconds", "driving")
+    )
     return f"{seconds:.2f}, {driving:.2f}, {100 * len(good) / len(answers):.0f}"
 
 
@@ -167,10 +298,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/results/rows"))
+    parser.add_argument("--name", help="name of the file; that of the suite by default")
     args = parser.parse_args()
     suite, answers = answers_of(args.folder)
-    write(answers, args.out / f"{suite}.csv.gz")
-    print("\n".join([*table(suite, answers), "", *medians(suite, answers)]))
+    write(answers, args.out / f"{args.name or suite}.csv.gz")
+    if any(a.stages for a in answers):
+        print("\n".join(scan_tables(answers)))
+    else:
+        print("\n".join([*table(suite, answers), "", *medians(suite, answers)]))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "docs" / "results"
-FILES = sorted((RESULTS / "rows").glob("*.csv.gz"))
+ROWS = RESULTS / "rows"
+FILES = sorted(ROWS.glob("*.csv.gz"))
+SCANS = [ROWS / f"{name}.csv.gz" for name in ("paper-real-scan", "paper-real-scan-unseen")]
 
 
 @pytest.fixture
@@ -21,11 +23,22 @@ def rows(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("paper_rows")
 
 
-def test_rows_of_both_suites_are_kept() -> None:
-    assert [file.name for file in FILES] == ["authors-sim.csv.gz", "paper-table.csv.gz"]
+@pytest.fixture(scope="module")
+def text() -> str:
+    """Return the words of both pages."""
+    pages = (RESULTS / "paper.md", ROOT / "docs" / "paper.md")
+    words = " ".join(" ".join(page.read_text(encoding="utf-8").split()) for page in pages)
+    return words.replace("\\*", "*")
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_rows_of_all_runs_are_kept() -> None:
+    suites = {ROWS / f"{name}.csv.gz" for name in ("authors-sim", "paper-table")}
+    assert set(FILES) == suites | set(SCANS)
+
+
+@pytest.mark.parametrize(
+    "file", [file for file in FILES if file not in SCANS], ids=lambda file: file.name
+)
 def test_every_line_of_a_table_is_computed_from_the_rows(rows: ModuleType, file: Path) -> None:
     answers = rows.read(file)
     text = (RESULTS / "paper.md").read_text(encoding="utf-8").splitlines()
@@ -36,11 +49,20 @@ def test_every_line_of_a_table_is_computed_from_the_rows(rows: ModuleType, file:
     assert len({(a.task, a.method, a.protocol) for a in answers}) == len(answers)
 
 
-def test_what_the_pages_say_of_the_papers_table_is_computed_from_the_rows(rows: ModuleType) -> None:
-    pages = (RESULTS / "paper.md", ROOT / "docs" / "paper.md")
-    text = " ".join(" ".join(page.read_text(encoding="utf-8").split()) for page in pages)
-    said = rows.phrases(rows.read(RESULTS / "rows" / "paper-table.csv.gz"))
-    assert not [phrase for phrase in said if phrase not in text.replace("\\*", "*")]
+@pytest.mark.parametrize(
+    ("name", "of"), [("paper-table", "phrases"), ("authors-sim", "kitchen_phrases")]
+)
+def test_what_the_pages_say_in_words_is_computed_from_the_rows(
+    rows: ModuleType, text: str, name: str, of: str
+) -> None:
+    said = getattr(rows, of)(rows.read(ROWS / f"{name}.csv.gz"))
+    assert not [phrase for phrase in said if phrase not in text]
+
+
+def test_what_the_pages_say_of_scans_is_computed_from_the_rows(rows: ModuleType, text: str) -> None:
+    known, unseen = map(rows.read, SCANS)
+    said = [*rows.scan_phrases(known, unseen), *rows.scan_tables(known)]
+    assert not [phrase for phrase in said if phrase not in text]
 
 
 def test_the_shares_of_the_papers_simulation_are_those_of_its_counts() -> None:
@@ -63,8 +85,10 @@ def test_the_shares_of_the_papers_simulation_are_those_of_its_counts() -> None:
 
 def test_rows_are_kept_without_loss(rows: ModuleType, tmp_path: Path) -> None:
     made = [
-        rows.Answer("a 00", "open fridge", "ours", "first, pinch", True, 0.25, 1.5),
-        rows.Answer("a 00", "open fridge", "m3", "first, pinch", False, 0.5, np.nan),
+        rows.Answer("a 00", "open fridge", "ours", "first, pinch", True, 0.25, 1.5, {}),
+        rows.Answer(
+            "a 00", "open fridge", "m3", "first, pinch", False, 0.5, np.nan, {"search": 0.5}
+        ),
     ]
     rows.write(made, tmp_path / "kept.csv.gz")
     again = rows.read(tmp_path / "kept.csv.gz")
