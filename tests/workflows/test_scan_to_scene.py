@@ -117,6 +117,22 @@ def test_the_scanned_fridge_opens_like_the_true_one(made: Modeled, folder: Path)
     assert gap < 0.06
 
 
+def test_names_follow_from_places_whatever_segments_the_room(
+    scan: Scan, tools: Tools, seen: Survey
+) -> None:
+    rng = np.random.default_rng(5)
+    own = [Instance(item.label, item.score, None, item.box) for item in seen.detections]
+
+    def given(_: Cloud) -> list[Instance]:
+        return [own[k] for k in rng.permutation(len(own))]
+
+    again = survey(scan, replace(tools, segment=given)).detections
+    assert len(again) == len(own)
+    for item in seen.detections:
+        apart = {d.name: float(np.linalg.norm(d.box.center - item.box.center)) for d in again}
+        assert min(apart, key=lambda name: apart[name]) == item.name
+
+
 @pytest.mark.parametrize(
     ("thing", "label", "kinds"),
     [
