@@ -1,6 +1,8 @@
 """Measure the modeling error of fridges: the paper's table, on synthetic scans of PartNet fridges.
 
-    python benchmarks/modeling_error.py [--frames 30] [--out bench_out]
+    python benchmarks/modeling_error.py [--fridges NAME ...] [--frames 30] [--out bench_out]
+        [--detections FILE] [--categories FILE] [--frontal FILE] [--instances FILE]
+        [--models LABEL=FILE.urdf ...]
 
 Every fridge of the shared data is placed at a wall, scanned with the noise of a RealSense 435 and
 modeled in three ways. The error is the mean of the handle's position error and the errors of the
@@ -12,23 +14,40 @@ box's three sides (MoMa-Pos, table on modeling).
 - disturbed rectangle: the true rectangle of the fridge in the most frontal complete image, with the
   edge noise of a detector, on the floor, with the usual depth of a fridge;
 - box from points: ours.
+
+The scan of a fridge is OUT/modeling/FRIDGE/scan_FRAMES. Results that networks wrote for it lie in
+OUT/modeling/FRIDGE, and the options of `momapos scan` name them there. With the URDF that the code
+of URDFormer writes, its parts are on all three boxes; with boxes of Omni3D or Mask3D, the third box
+is theirs.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from momapos.apps.cli.configuration import ScanSettings
+from momapos.apps.cli.scan_options import (
+    ScanOptions,
+    found_in,
+    given_models,
+    read,
+    scan_config,
+    stand_ins,
+    tools_for,
+)
 from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box
+from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box, write_scan
+from momapos.core.errors import InputError, MomaposError
 from momapos.core.geometry.polygons import UprightBox, top
 from momapos.core.geometry.transforms import apply, pose
-from momapos.model.records.scans import Frame, Scan
+from momapos.model.records.scans import Frame
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -36,7 +55,7 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import Urdf, box_urdf, read_urdf
 from momapos.perception.reconstruction.object_model import furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
-from momapos.perception.records import Decision
+from momapos.perception.records import Decision, Modeled, PartSource
 from momapos.perception.views.faces import Face
 from momapos.perception.views.front_view import FrontView, cosines_to
 from momapos.perception.views.placed_parts import projection
@@ -154,17 +173,53 @@ def error(truth: Scene, seen: UprightBox, made: Scene) -> float:
     return float(np.mean([handle, *np.abs(sizes[0] - sizes[1])]))
 
 
-def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
-    """Return the three errors of one fridge."""
-    scene = room(name)
+def in_folder(options: ScanOptions, folder: Path) -> ScanOptions:
+    """Return options whose files lie in a folder."""
+    files = {
+        name: folder / value
+        for name in ("instances", "detections", "categories", "frontal")
+        if (value := getattr(options, name)) is not None
+    }
+    models = (text.partition("=") for text in options.models)
+    named = tuple(f"{label}={folder / file}" for label, _, file in models)
+    return replace(options, models=named, **files)
+
+
+def fridge_in(result: Modeled, place: np.ndarray, options: ScanOptions) -> Decision:
+    """Return the modeled object nearest to a place.
+
+    Raises:
+        InputError: No object has parts, or none of the given models is that of this one.
+    """
+    modeled = [d for d in result.decisions if d.view is not None and d.parts]
+    if not modeled:
+        raise InputError(f"{result.scene}: no object has parts on its front")
+    fridge = min(modeled, key=lambda d: float(np.linalg.norm(d.detection.box.center - place)))
+    if options.models and fridge.source is not PartSource.GIVEN:
+        raise InputError(f"{result.scene}: no --models is of {fridge.detection.name}")
+    return fridge
+
+
+def measure(name: str, frames: int, folder: Path, options: ScanOptions) -> dict[str, float]:
+    """Return the three errors of one fridge.
+
+    Raises:
+        MomaposError: A result file is not usable, or not of this scan.
+    """
+    scene, recording = room(name), folder / f"scan_{frames}"
     plan = synthetic_scan(scene, frames=frames, seed=1, sensor=DepthSensor())
-    result = scan_to_scene(Scan(name, tuple(plan.frames())), folder / "scene.json")
+    if not recording.exists():
+        write_scan(plan, recording)
+    options, settings = in_folder(options, folder), ScanSettings()
+    scan = read(recording, replace(options, max_frames=frames), settings)
+    result = scan_to_scene(
+        scan, folder / "scene.json", tools_for(scan, options, None),
+        found=found_in(scan, options), given=given_models(options),
+        config=scan_config(options, settings),
+    )  # fmt: skip
     box = true_box(plan.world, scene.object("fridge"), 0)
     place = apply(result.T_scene_scan, box.center[None])[0]
-    decision = min(
-        (d for d in result.decisions if d.view is not None and d.model is not None),
-        key=lambda d: float(np.linalg.norm(d.detection.box.center - place)),
-    )
+    decision = fridge_in(result, place, options)
     view = decision.view
     assert view is not None
     ground, there = np.array([place[0], place[1], 0.5]), replace(box, center=place)
@@ -181,23 +236,38 @@ def measure(name: str, frames: int, folder: Path) -> dict[str, float]:
     return errors
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fridges", nargs="+", default=FRIDGES, choices=FRIDGES)
     parser.add_argument("--frames", type=int, default=30)
     parser.add_argument("--out", type=Path, default=Path("bench_out"))
+    for name in ("detections", "categories", "frontal", "instances"):
+        parser.add_argument(f"--{name}", type=Path)
+    parser.add_argument("--models", nargs="+", default=(), metavar="LABEL=FILE.urdf")
     args = parser.parse_args()
     rows = {}
-    for name in FRIDGES:
-        rows[name] = measure(name, args.frames, args.out / "modeling" / name.replace("/", "_"))
-        print(name, {key: round(value, 3) for key, value in rows[name].items()}, flush=True)
+    try:
+        options = ScanOptions(
+            instances=args.instances, detections=args.detections, categories=args.categories,
+            frontal=args.frontal, models=tuple(args.models),
+        )  # fmt: skip
+        for name in args.fridges:
+            folder = args.out / "modeling" / name.replace("/", "_")
+            rows[name] = measure(name, args.frames, folder, options)
+            print(name, {key: round(value, 3) for key, value in rows[name].items()}, flush=True)
+    except (MomaposError, OSError) as problem:
+        print(problem, file=sys.stderr)
+        return 2
     means = {
         method: float(np.nanmean([row[method] for row in rows.values()])) for method in METHODS
     }
     for method, paper in zip(METHODS, (0.38, 0.13, 0.04), strict=True):
         print(f"{method:16} {means[method]:.3f} m (paper {paper:.2f} m)")
-    args.out.mkdir(parents=True, exist_ok=True)
+    for network, source in stand_ins(options).items():
+        print(f"{network}: {source}")
     (args.out / "modeling_error.json").write_text(json.dumps(rows, indent=1) + "\n")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

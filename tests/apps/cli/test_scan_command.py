@@ -135,6 +135,7 @@ def test_a_scan_that_is_a_fifo_is_refused_without_waiting(
         (ScanOptions(detector="yolox_nano"), {"Detectron2": "yolox_nano"}),
         (ScanOptions(instances=Path("masks.npy")), {"Mask3D": "masks.npy"}),
         (ScanOptions(predictor="template"), {"URDFormer": "templates"}),
+        (ScanOptions(models=("fridge=out.urdf",)), {"URDFormer": "fridge=out.urdf, else momapos"}),
     ],
 )
 def test_what_stands_in_for_each_network_of_the_paper_is_named(

@@ -171,10 +171,13 @@ def stand_ins(options: ScanOptions) -> dict[str, str]:
         "network": "momapos' front networks",
         "template": "templates by label",
     }
+    predictor = predictors[options.predictor]
     return {
         "Detectron2": projected if detections is None else f"{detections}, else {projected}",
         "ResNet50": str(options.frontal or "camera poses and momapos' front network"),
-        "URDFormer": predictors[options.predictor],
+        "URDFormer": f"{', '.join(options.models)}, else {predictor}"
+        if options.models
+        else predictor,
         "Mask3D": "momapos' segmentation" if options.instances is None else str(options.instances),
     }
 
