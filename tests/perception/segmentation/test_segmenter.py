@@ -273,3 +273,24 @@ def test_an_object_that_hides_the_middle_of_a_counter_does_not_divide_it() -> No
     assert best_overlap(microwave, found) > 0.95
     assert best_overlap(((-1.0, 0.4, 0.0), (1.0, 1.0, 0.86)), found) > 0.95
     assert {item.label for item in found} == {"microwave", "cabinet", "counter"}
+
+
+@pytest.mark.parametrize("degrees", [-25.0, -12.0, 6.0, 12.0, 40.0])
+def test_free_furniture_that_is_turned_is_one_object_with_a_turned_box(degrees: float) -> None:
+    rng, angle = np.random.default_rng(2), np.radians(degrees)
+    table = cloud_of([((-0.8, -0.8, 0.0), (0.8, 0.0, 0.7))], rng)
+    fridge = cloud_of([((-0.3, -0.27, 0.0), (0.3, 0.27, 1.45))], rng)
+    fridge = kept(fridge, (fridge.normals[:, 2] < 0.5) & (fridge.points[:, 2] > 0.01))  # too high
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    n = 4000
+    floor = np.column_stack([rng.uniform(-2.0, 2.0, (n, 2)), rng.normal(0.0, 0.002, n)])
+    cloud = Cloud(
+        np.concatenate([table.points, fridge.points @ R.T + [0.3, -2.0, 0.0], floor]),
+        np.concatenate([table.normals, fridge.normals @ R.T, np.tile([0.0, 0.0, 1.0], (n, 1))]),
+        np.zeros((len(table.points) + len(fridge.points) + n, 3), np.uint8),
+    )
+    found = boxes(cloud, ClassicalSegmenter()(cloud), find_room(cloud))
+    (box,) = (item.box for item in found if item.box.size[2] > 1.2)
+    assert np.degrees(box.yaw) == pytest.approx(degrees, abs=1.0)
+    np.testing.assert_allclose(box.size, [0.6, 0.54, 1.45], atol=0.02)

@@ -411,7 +411,7 @@ def _members(cloud: Cloud, instance: Instance, farthest: float) -> Int[np.ndarra
 def _draw(cloud: Cloud, members: Int[np.ndarray, " k"], given: UprightBox | None) -> UprightBox:
     """Return the box around points, or a given one, with its faces snapped to surfaces."""
     points, normals = cloud.points[members], cloud.normals[members]
-    yaw = given.yaw if given is not None else _yaw(normals)
+    yaw = given.yaw if given is not None else faces_yaw(normals)
     turned, facing = along_edges(points, yaw), along_edges(normals, yaw)
     if given is not None:
         low, high = corners(given)
@@ -452,8 +452,8 @@ def _surface(
     return found[0] if seen > MIN_FACE_COVERED * whole else None
 
 
-def _yaw(normals: Float[np.ndarray, "n 3"]) -> float:
-    """Return the yaw of an object's box: 0, unless its faces clearly show another one."""
+def faces_yaw(normals: Float[np.ndarray, "n 3"]) -> float:
+    """Return the yaw of an object's box [rad]: 0, unless its faces clearly show another one."""
     upright = np.abs(normals[:, 2]) < 0.3
     if upright.sum() < 30:
         return 0.0

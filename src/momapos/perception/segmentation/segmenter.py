@@ -41,6 +41,7 @@ from .config import (
     TOUCHING_SMALL,
 )
 from .front_planes import FrontPlane, attach_handles, attach_hoods, find_front_planes
+from .instance_boxes import faces_yaw
 from .room_shell import area, ends, find_room, flat_on_wall, floor_seen, in_room, peaks
 from .supports import (
     MIN_SUPPORT_HEIGHT,
@@ -443,12 +444,19 @@ class _Segmentation:
     # ------------------------------------------------------------ furniture without a visible top
 
     def _behind_fronts(self, fronts: Sequence[FrontPlane]) -> list[Instance]:
+        """Return the furniture behind fronts, but not what is turned from x and y.
+
+        A front along x or y holds only a part of turned furniture. That remains a group of
+        touching points, whose box is turned.
+        """
         out = []
         for front in fronts:
             if self.free[front.members].mean() < 0.6:
                 continue
             box = front.box
             members = self._inside(box, MAX_OVERHANG)
+            if faces_yaw(self.cloud.normals[members]):
+                continue
             self.free[members] = False
             out.append(Instance("", 0.6, members, box))
         return out
