@@ -49,9 +49,10 @@ def results(out: Path, name: str, data: Any) -> None:
             [{"image_id": 900, "category_id": 82, "bbox": [1, 2, 30, 40], "score": 0.9}],
             "none of its image_id",
         ),
+        ("instances", {"format": "momapos-boxes", "version": 9, "boxes": []}, '"version": 1'),
     ],
 )
-def test_results_of_another_scan_end_with_one_line(
+def test_results_of_another_scan_or_version_end_with_one_line(
     script: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -78,7 +79,7 @@ def test_true_boxes_in_place_of_a_network_give_the_true_sides(
     box = {
         "label": "fridge", "center": ((low + high) / 2).tolist(), "size": (high - low).tolist(),
     }  # fmt: skip
-    results(tmp_path, "own.json", {"boxes": [box]})
+    results(tmp_path, "own.json", {"format": "momapos-boxes", "version": 1, "boxes": [box]})
     assert run(script, monkeypatch, tmp_path, "--instances", "own.json") == 0
     rows = json.loads((tmp_path / "modeling_error.json").read_text())
     assert rows[FRIDGE]["box from points"] < 0.02
