@@ -147,7 +147,7 @@ RULES: tuple[SizeRule, ...] = (
 )  # fmt: skip
 """Earlier rules win ties."""
 
-MIN_FIT = UNKNOWN[1]
+MIN_FIT: float = UNKNOWN[1]
 """Boxes that no rule fits at least this well are an "object" [-]."""
 
 
