@@ -137,13 +137,17 @@ def _end_looking() -> None:
         sys.meta_path.remove(_IMPORTS)
 
 
-def with_time_left(config: Any) -> Any:
+def with_time_left(config: Any, later: float = 0.0) -> Any:
     """Return a configuration of a search that ends with the command's time.
 
     From here on there may be an answer even if the time is over.
+
+    Args:
+        config: The configuration.
+        later: Time that the command needs after the search [s].
     """
     _end_looking()
-    return replace(config, timeout=max(min(config.timeout, time_left()), MIN_TIMEOUT))
+    return replace(config, timeout=max(min(config.timeout, time_left()) - later, MIN_TIMEOUT))
 
 
 @contextmanager

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 THEN = "then"
 VERBS = get_args(Verb)
+TIME_PER_PLAN = 0.1
+"""Time in which a plan is timed and written after the search [s]; measured with five tasks."""
 USAGE = "write each further task as: then VERB OBJECT[/JOINT] [--to VALUE]"
 
 
@@ -176,7 +178,7 @@ def _plan(
     tours = []
     arms = load_arms_with_maps(options.robot, options.arm)
     for robot, reach in zip(*arms, strict=True):
-        config = with_time_left(config)
+        config = with_time_left(config, later=TIME_PER_PLAN * len(requests))
         try:
             with busy(f"{robot.name}: planning", config.timeout):
                 tours.append(plan_tour(
