@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,9 +34,13 @@ DRAWN = {"text": 2, "annotate": 0, "set_title": 0, "suptitle": 0, "set_xlabel": 
 EVIL = ("\x1b[2J", "\x1b]0;pwn\x07", "\u202eabc", "\ud800", "\x9b31m", "a\rb", "\u2066", "\ufeff")
 
 
-def modules() -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted(SOURCE.rglob("*.py")):
-        yield path.relative_to(SOURCE).as_posix(), ast.parse(path.read_text())
+@functools.cache
+def modules() -> tuple[tuple[str, ast.Module], ...]:
+    """Return the modules of the package, by their paths in it."""
+    return tuple(
+        (path.relative_to(SOURCE).as_posix(), ast.parse(path.read_text()))
+        for path in sorted(SOURCE.rglob("*.py"))
+    )
 
 
 def calls(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:

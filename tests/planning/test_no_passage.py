@@ -70,6 +70,7 @@ def test_poses_on_the_near_side_of_a_narrow_door_are_still_tried(tmp_path: Path)
     assert others - {PoseStatus.BEYOND_ARM, PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR}
 
 
+@pytest.mark.slow
 def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     save_scene(room(tmp_path, 0.5), tmp_path / "room.json")
     words = ["place", "open", str(tmp_path / "room.json"), "cabinet/hinge", "--robot", "fetch"]

@@ -147,6 +147,7 @@ def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(
     assert carry_out(run, there, [push]) is Ending.DONE
 
 
+@pytest.mark.slow
 def test_between_two_grasps_the_hand_is_slow_near_obstacles(
     kitchen: Scene, plans: dict[str, PlacementPlan]
 ) -> None:

@@ -12,6 +12,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import pytest
 from tests.rooms import Everywhere, cabinet_room
 from tests.urdf_parts import mobile_manipulator
 
@@ -94,6 +95,7 @@ def test_robots_are_dropped_while_their_scene_stays(tmp_path: Path) -> None:
     assert alive(references) == []
 
 
+@pytest.mark.slow
 def test_commands_leave_none_of_the_inputs_of_their_plan(tmp_path: Path) -> None:
     scene, robot = new_scene(tmp_path / "scene"), new_robot(tmp_path / "robot")
     file = tmp_path / "plan.json"
