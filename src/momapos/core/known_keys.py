@@ -14,7 +14,7 @@ import msgspec
 class Named:
     """A mapping whose keys are names that the user chooses, such as joints."""
 
-    value: Mapping[str, Any] | Named | None
+    value: Keys
 
 
 Keys: TypeAlias = Mapping[str, Any] | Named | None
