@@ -1,4 +1,4 @@
-"""What the site shows beside docs/: files that its pages link to, public names, a plan that plays.
+"""Add to the site what docs/ lacks: linked files, public names, members of files, a moving plan.
 
 A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
 file becomes a page of its own, files/PATH.md; a link to what is not there stays as it is, and
@@ -15,6 +15,8 @@ import tempfile
 from pathlib import Path
 from posixpath import dirname, normpath, relpath
 from typing import TYPE_CHECKING
+
+from momapos.apps.schemas import field_list
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -50,7 +52,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001
-    """Lead links that leave docs/ to those pages, and list the public names on theirs."""
+    """Lead links that leave docs/ to those pages; list public names and members of files."""
     uri = page.file.src_uri
     shown = uri.startswith("files/")
     path = uri.removeprefix("files/").removesuffix(".md") if shown else f"docs/{uri}"
@@ -62,6 +64,8 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
     if uri == "reference.md":
         markdown += public_names()
+    if uri == "formats.md":
+        markdown += f"\n\n{field_list()}"
     if uri == "gallery.md":
         frame = f'<iframe src="{PLAYS}" title="A plan" width="100%" height="480"></iframe>'
         film = '<video src="images/demo.mp4" controls loop muted width="100%"></video>'
