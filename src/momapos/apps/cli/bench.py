@@ -68,8 +68,8 @@ def bench_run(
     Exit status: 0 all tasks have a result; 2 unusable input.
 
     Args:
-        suite: smoke, openings, paper-sim, paper-real, paper-table, ablations, articulated or
-            motionbenchmaker; see docs/benchmark.md.
+        suite: smoke, openings, paper-sim, paper-real, paper-table, authors-sim, ablations,
+            articulated or motionbenchmaker; see docs/benchmark.md.
         out: The results folder; a stopped run continues in it.
         methods: Methods of `momapos place`, or variants such as paper:paper.group=1 (default: those
             of the suite); for motionbenchmaker ours or RRTConnect, which is OMPL's.
