@@ -7,6 +7,7 @@ fails the build.
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import subprocess
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parent
 LINK = re.compile(r"(?<=\]\()([^)#\s:]+)(?=[)#])")
 """The target of a link within the repository, without its anchor."""
-PUBLIC_NAME = re.compile(r"^\| `(\w+)[^|]*\|.*$", re.MULTILINE)
+NAMES = re.compile(r"^Names: (.+(?:\n.+)*)", re.MULTILINE)
+"""The public names of a section of docs/api.md."""
 PLAYS = "gallery/plan.html"
 """The plan that plays in the gallery."""
 ANSWER = ("place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e")
@@ -62,6 +64,8 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         stays = target is None or (target.startswith("docs/") and not shown)
         return match[1] if stays else relpath(_page_of(target), dirname(uri))
 
+    if uri == "api.md":
+        markdown = NAMES.sub(_described, markdown)
     if uri == "reference.md":
         markdown += public_names()
     if uri == "formats.md":
@@ -126,7 +130,21 @@ def public_names() -> str:
     """The sections of docs/api.md, each name replaced by its docstring."""
     text = (ROOT / "docs" / "api.md").read_text()
     _, *sections = re.split(r"^(?=## )", text, flags=re.MULTILINE)
-    listed = ((part.partition("\n")[0], PUBLIC_NAME.findall(part)) for part in sections)
+    listed = ((part.partition("\n")[0], _names(part)) for part in sections)
     return "\n\n".join(
         "\n\n".join([title, *(f"::: momapos.{name}" for name in names)]) for title, names in listed
     )
+
+
+def _names(section: str) -> list[str]:
+    return [name for names in NAMES.findall(section) for name in re.findall(r"`(\w+)`", names)]
+
+
+def _described(names: re.Match[str]) -> str:
+    """A table of names with the first sentences of their docstrings."""
+    import momapos
+
+    docs = {name: inspect.getdoc(getattr(momapos, name)) or "" for name in _names(names[0])}
+    short = {name: " ".join(doc.partition("\n\n")[0].split()) for name, doc in docs.items()}
+    lines = [f"| [`{name}`](reference.md#momapos.{name}) | {doc} |" for name, doc in short.items()]
+    return "\n".join(["| name | description |", "|---|---|", *lines])

@@ -8,7 +8,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import docs_hooks
 import pytest
@@ -91,6 +91,11 @@ def test_the_results_name_existing_benchmarks() -> None:
 def test_the_site_documents_every_public_name() -> None:
     shown = re.findall(r"^::: momapos\.(\w+)$", docs_hooks.public_names(), re.MULTILINE)
     assert sorted(shown) == sorted(momapos.__all__)
+    page: Any = SimpleNamespace(file=SimpleNamespace(src_uri="api.md"))
+    text, nothing = (DOCS / "api.md").read_text(), cast(Any, None)
+    site = docs_hooks.on_page_markdown(text, page=page, config=nothing, files=nothing)
+    rows = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| [A-Z].* \|$", site, re.MULTILINE)
+    assert sorted(rows) == sorted(momapos.__all__)
 
 
 @pytest.mark.parametrize(
