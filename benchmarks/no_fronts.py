@@ -1,6 +1,6 @@
 """Count the doors and drawers that a scan finds on furniture without any.
 
-    python benchmarks/no_fronts.py [--rooms 2] [--seed 0] [--frames 100] [--again]
+    python benchmarks/no_fronts.py [--rooms 2] [--seed 0] [--frames 100]
                                    [--folder bench_out/no_fronts]
 
 Every room holds ten objects without doors and drawers along two walls: blank boxes, side panels,

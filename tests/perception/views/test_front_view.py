@@ -84,6 +84,22 @@ def test_voting_corrects_a_wrong_image_and_first_does_not() -> None:
     assert first.face.index == 3
 
 
+def test_the_score_of_a_front_is_the_mean_of_its_images() -> None:
+    def by_brightness(face: FaceImage) -> Front:
+        score = 0.2 if face.color[..., 0].max() < 220 else 0.9
+        door = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.9, handle=(0.8, 0.4, 0.9, 0.6))
+        return Front(score, (door,))
+
+    frames = around([0.0, 0.1, 0.2], FRONT)
+    frames[1:] = [
+        replace(one, color=np.minimum(one.color, 199) + np.uint8(40)) for one in frames[1:]
+    ]
+    view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), by_brightness)
+    assert view is not None
+    assert view.frame == 0
+    assert view.front.score == pytest.approx((0.2 + 0.9 + 0.9) / 3)
+
+
 def test_first_takes_the_most_central_frontal_image() -> None:
     frames = around([1.5, 0.2, 0.0], FRONT)
     seen = observations(FRIDGE, frames)

@@ -21,6 +21,8 @@ DOOR = Part("door_left", (0.3, 0.2, 0.7, 0.8), 0.6)
 WHOLE = Part("door_left", (0.0, 0.0, 1.0, 1.0), 0.6)
 HANDLE = (0.4, 0.25, 0.6, 0.265)
 """A level bar of 12 x 0.9 cm near the top of DOOR."""
+KNOB = (0.5, 0.4, 0.55, 0.45)
+"""A knob of 3 cm."""
 FACE = Face(0, np.eye(4), 0.6, 0.6)
 
 
@@ -62,8 +64,12 @@ def with_bar(image: FaceImage, box: tuple[float, float, float, float], out: floa
 
 
 def kept(image: FaceImage, *parts: Part, score: float = 0.9) -> tuple[Part, ...]:
-    around = replace(FACE, width=image.width, height=image.height)
-    return parts_with_evidence(parts, FACE, FaceSurroundings(around, (image,)), score)
+    return kept_in([image], *parts, score=score)
+
+
+def kept_in(images: list[FaceImage], *parts: Part, score: float = 0.9) -> tuple[Part, ...]:
+    around = replace(FACE, width=images[0].width, height=images[0].height)
+    return parts_with_evidence(parts, FACE, FaceSurroundings(around, tuple(images)), score)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -110,6 +116,23 @@ def test_a_line_that_runs_beyond_a_handle_on_both_sides_is_no_handle() -> None:
     held = replace(DOOR, handle=HANDLE)
     line = (DOOR.box[0], HANDLE[1], DOOR.box[2], HANDLE[3])
     assert kept(with_bar(plain(), line, 0.0), held) == ()
+
+
+def test_a_pale_knob_is_a_handle_if_several_images_show_it() -> None:
+    held = replace(DOOR, handle=KNOB)
+
+    def with_knob(seed: int) -> FaceImage:
+        image = plain(seed)
+        left, top, right, bottom = pixels(KNOB)
+        color = image.color.copy()
+        color[top:bottom, left:right] -= 12
+        return replace(image, color=color)
+
+    shown, blank = [with_knob(seed) for seed in range(3)], [plain(seed) for seed in range(3)]
+    assert kept_in(shown, held) == (held,)
+    assert kept_in(shown[:1], held) == ()
+    assert kept_in([shown[0], *blank[1:]], held) == ()
+    assert kept_in(blank, held) == ()
 
 
 def test_on_an_improbable_front_a_handle_must_protrude() -> None:

@@ -480,6 +480,9 @@ def _merged_front(
 ) -> Front:  # fmt: skip
     """Merge what several images show of a face, with handles as in the first image.
 
+    The score is the mean of all these images: it decides how much evidence the parts need, and that
+    of one image depends on its viewpoint as its parts do.
+
     Args:
         views: The face.
         chosen: Indices of the images to examine, the best first.
@@ -495,7 +498,7 @@ def _merged_front(
         for front, camera in zip(fronts, cameras, strict=True)
     ]
     parts = shift_handles(consensus(upright), face, cameras[0])
-    return replace(fronts[0], parts=parts)
+    return Front(float(np.mean([front.score for front in fronts])), parts)
 
 
 def _with_known(front: Front, face: Face, frame: Frame, known: Sequence[KnownFront]) -> Front:

@@ -29,7 +29,7 @@ NEAR = 0.02
 MIN_PROTRUSION, MIN_SIGMAS = 0.01, 3.0
 """A handle protrudes by the first [m] and this many standard deviations of the noise [-]."""
 MIN_COLOR, MIN_COLOR_RATIO = 0.06, 2.5
-"""Contrast of a handle with the front [-], and relative to the contrast within the front [-]."""
+"""Contrast of a knob with the front [-], and relative to the contrast within the front [-]."""
 MIN_BAR, MIN_BAR_RATIO = 0.03, 3.0
 """Contrast of a bar with the front [-], and relative to other lines on it [-]."""
 MAX_BEYOND = 0.6
@@ -61,22 +61,31 @@ def protrudes(image: FaceImage, part: Part) -> bool:
     return out > max(MIN_PROTRUSION, MIN_SIGMAS * noise)
 
 
-def differs(image: FaceImage, part: Part) -> bool:
-    """Check whether the handle of a part is a bar or a knob of another color than the part."""
+def differs(images: Sequence[FaceImage], part: Part) -> bool:
+    """Check whether the handle of a part is a bar or a knob of another color than the part.
+
+    One image must show a bar. The contrast of a knob adds up over the images, as the root of the
+    sum of squares: that a pale knob is there in each of them is no noise.
+    """
     assert part.handle is not None
     left, top, right, bottom = part.handle
-    wide, tall = (right - left) * image.width, (bottom - top) * image.height
+    wide, tall = (right - left) * images[0].width, (bottom - top) * images[0].height
     if min(wide, tall) > MAX_HANDLE_THICKNESS:
         return False
     if max(wide, tall) >= MIN_BAR_ASPECT * min(wide, tall):
-        return _is_bar(image, part, upright=tall > wide)
+        return any(_is_bar(image, part, upright=tall > wide) for image in images)
+    return bool(np.linalg.norm([_knob_contrast(image, part) for image in images]) > MIN_COLOR)
+
+
+def _knob_contrast(image: FaceImage, part: Part) -> float:
+    """Return the contrast of a handle with its part; 0 if it is not above that within the part."""
     inside, ring = _handle_and_ring(image, part)
     if ring.sum() < MIN_RING or not inside.any():
-        return False
+        return 0.0
     color = image.color.astype(float) / 255
     off = np.abs(color - np.median(color[ring], axis=0)).mean(axis=-1)
     contrast, noise = (float(np.percentile(off[m], q)) for m, q in ((inside, 60), (ring, 75)))
-    return contrast > max(MIN_COLOR, MIN_COLOR_RATIO * noise)
+    return contrast if contrast > MIN_COLOR_RATIO * noise else 0.0
 
 
 def _is_bar(image: FaceImage, part: Part, *, upright: bool) -> bool:
@@ -248,7 +257,7 @@ def _supported(part: Part, images: Sequence[FaceImage], front_score: float) -> b
     if part.handle is not None:
         if protrudes(image, part):
             return True
-        if front_score >= MIN_FRONT_SCORE and any(differs(one, part) for one in images):
+        if front_score >= MIN_FRONT_SCORE and differs(images, part):
             return True
     left, top, right, bottom = part.box
     least = min((right - left) * image.width, (bottom - top) * image.height)
