@@ -88,6 +88,17 @@ def test_the_results_name_existing_benchmarks() -> None:
     assert [script for script in scripts if not (REPOSITORY / script).exists()] == []
 
 
+def test_the_files_that_the_page_of_the_paper_links_define_the_functions_it_names() -> None:
+    links = re.findall(r"\[`(?:\w+\.)?(\w+)`\]\((\S+\.py)\)", (DOCS / "paper.md").read_text())
+    assert len(links) > 10
+    wrong = [
+        (name, file)
+        for name, file in links
+        if not re.search(rf"^ *(?:def|class) {name}\b", (DOCS / file).read_text(), re.MULTILINE)
+    ]
+    assert not wrong
+
+
 def test_the_site_documents_every_public_name() -> None:
     shown = re.findall(r"^::: momapos\.(\w+)$", docs_hooks.public_names(), re.MULTILINE)
     assert sorted(shown) == sorted(momapos.__all__)
