@@ -134,19 +134,19 @@ def phrases(answers: Sequence[Answer]) -> list[str]:
     def rate(method: str, *groups: str) -> str:
         return f"{100 * np.mean([a.success for a in some(method, *groups)]):.0f}"
 
-    def times(method: str) -> list[float]:
-        return [a.seconds for a in some(method, "grasp apple") if a.success]
+    def times(method: str, group: str = "grasp apple") -> list[float]:
+        return [a.seconds for a in some(method, group) if a.success]
 
     fridge, oven, all_checks = "open fridge", "open microwave", "paper:planner.optimize=true"
     unchecked = rate("paper:paper.check_stops=false", oven)
     named = {"Habitat": "habitat", "M3*": "m3", "Reuleaux": "reuleaux"}
     median = {name: f"{1000 * np.median(times(method)):.0f}" for name, method in named.items()}
     lost = {n: f"{100 - float(rate(m, fridge, oven)):.0f} % ({n})" for n, m in named.items()}
-    apart = [rate(m, door) for m in named.values() for door in (fridge, oven)]
-    apart = sorted((one for one in apart if one != "100"), key=float)
     means = [f"{np.mean(times(method)):.2f}" for method in ("paper", all_checks)]
     medians_ = [f"{np.median(times(method)):.2f}" for method in ("paper", all_checks)]
     door = {name: (rate(m, fridge), rate(m, oven)) for name, m in named.items()}
+    at_fridge = [1000 * np.median(times(method, fridge)) for method in ("habitat", "paper", "m3")]
+    spread = [np.std(times(method)) for method in ("paper", "m3", "reuleaux")]
 
     def drive(method: str, group: str) -> float:
         return float(np.mean([a.driving for a in some(method, group) if a.success]))
@@ -166,7 +166,14 @@ def phrases(answers: Sequence[Answer]) -> list[str]:
         f"{median['M3*']} (M3*) and {median['Reuleaux']} (Reuleaux) for the apple",
         f"the unchecked first stop opens {unchecked} % of the microwaves",
         f"its first stop opens {unchecked} % of the microwaves",
-        f"{apart[0]} to {apart[-1]} %, but Habitat opens every fridge",
+        *(
+            f"{one} and {other} % with first poses, 100 % with retries"
+            for one, other in door.values()
+        ),
+        "at the fridge {:.0f} ms against {:.0f} (MoMa-Pos), but {:.0f} (M3*)".format(*at_fridge),
+        "{:.2f} s (MoMa-Pos), {:.2f} s (M3*), {:.2f} s (Reuleaux)".format(*spread),
+        f"`authors` {rate('authors', fridge)} % of the fridges, {rate('authors', oven)} % of the "
+        "microwaves",
         f"takes {means[0]} s instead of {means[1]} s for the apple on average, and {medians_[0]} "
         f"instead of {medians_[1]} s in the median",
         f"opens {rate('authors', fridge)} % of the fridges and {rate('authors', oven)} % of the "
@@ -258,10 +265,10 @@ def scan_phrases(answers: Sequence[Answer], unseen: Sequence[Answer]) -> list[st
         f"`ours` solves {new['ours']} and `paper` {new['paper']}",
         f"takes {np.median(total):.1f} s of processor time (median; {total.max():.0f} s at most), "
         f"{np.median(boxes):.1f} s of it for the survey",
-        f"yes: {np.median(total):.1f} s with a scan (median, {total.max():.0f} s at most); "
+        f"{np.median(total):.1f} s with a scan (median, {total.max():.0f} s at most)",
         f"potential and importance {sum(whole[s] for s in chosen):.1f} %, without the boxes of the "
         f"objects {sum(alone[s] for s in chosen):.1f} %",
-        f"yes: {models['paper']:.2f} s instead of {models[MODEL_ALL]:.2f} s",
+        f"{models['paper']:.2f} s instead of {models[MODEL_ALL]:.2f} s",
         f"with them importance saves {later:.0f} %",
         f"Importance saves {saves:.0f} % of the modeling time, and {later:.0f} % of the time",
         f"{alone[MODELING]:.0f}, {alone['checks']:.0f}, {alone['potential']:.1f}, "
