@@ -253,3 +253,35 @@ def test_an_existing_folder_is_not_overwritten(tmp_path: Path) -> None:
         read(tmp_path)
     again = load_scene(tmp_path / "out.json")
     assert_allclose(again.object("cup").bounds, scene.object("cup").bounds)
+
+
+@pytest.mark.parametrize(
+    ("inside", "mass"),
+    [
+        ('<geom name="g" type="box" size="0.1 0.2 0.3"/>', 0.0),
+        ('<geom type="box" size="0.1 0.2 0.3" mass="4"/>', 4.0),
+        ('<geom type="box" size="0.1 0.2 0.3" density="100"/>', 4.8),
+        ('<geom class="light" type="box" size="0.1 0.2 0.3"/>', 2.4),
+        ('<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/><geom size="0.1"/>', 3.0),
+        ('<geom type="box" size="0.1 0.2 0.3"/><geom size="0.1" mass="0" contype="0"/>', 0.0),
+    ],
+)
+def test_bodies_have_the_mass_that_mujoco_gives_them_if_the_file_states_one(
+    tmp_path: Path, inside: str, mass: float
+) -> None:
+    part = (
+        f'<body name="lid" pos="0 0 1"><joint name="h" pos="0.5 0 0" range="0 90"/>{inside}</body>'
+    )
+    light = '<default><default class="light"><geom density="50"/></default></default>'
+    text = CABINET.format(part).replace("<mujoco>", f"<mujoco>{light}")
+    _, scene = read(tmp_path, text)
+    link = scene.object("cabinet").model.urdf.links["lid"]
+    assert link.mass == pytest.approx(mass)
+    if mass:
+        assert_allclose(link.center, (-0.5, 0, 0), atol=1e-9)  # from the joint's anchor
+
+
+def test_springs_of_joints_are_counted_as_dropped(tmp_path: Path) -> None:
+    part = '<body><joint range="0 90" stiffness="5"/><geom type="box" size="0.1 0.2 0.3"/></body>'
+    room, _ = read(tmp_path, CABINET.format(part))
+    assert room.final_report().dropped["springs of joints"] == 1

@@ -27,7 +27,7 @@ MESHED = """<robot name="chest">
   <link name="lid"><collision name="lid_handle"><origin xyz="0 -0.2 0"/>
     <geometry><mesh filename="wedge.obj" scale="1 2 1"/></geometry></collision>
     <collision><geometry><mesh filename="flat.obj"/></geometry></collision></link>
-  <link name="stay"><visual><geometry><sphere radius="0.02"/></geometry></visual></link>
+  <link name="stay"><inertial><origin xyz="0 0 0.3"/><mass value="0.4"/></inertial><visual><geometry><sphere radius="0.02"/></geometry></visual></link>
   <joint name="lid_hinge" type="revolute"><parent link="box"/><child link="lid"/>
     <origin xyz="0 0.25 0.2" rpy="0.1 0.2 0.3"/><axis xyz="1 0 0"/><limit lower="-1.5" upper="0"/></joint>
   <joint name="stay_hinge" type="revolute"><parent link="box"/><child link="stay"/><axis xyz="0 1 0"/>
@@ -73,6 +73,9 @@ def test_meshes_couplings_and_custom_data_round_trip(tmp_path: Path) -> None:
         poses = new.link_poses({"lid_hinge": value})
         for link, T in old.link_poses({"lid_hinge": value}).items():
             assert_allclose(poses[link], T, atol=1e-9)
+    for name, link in old.model.urdf.links.items():
+        copy = new.model.urdf.links[name]
+        assert_allclose((copy.mass, *copy.center), (link.mass, *link.center), atol=1e-12)
     for link, hulls in old.model.hulls.items():
         for a, b in zip(hulls, new.model.hulls[link], strict=True):
             assert_allclose(np.sort(a.vertices, 0), np.sort(b.vertices, 0), atol=2e-6)

@@ -13,6 +13,8 @@ from momapos.apps.cli.main import main
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.kinds import kind_of_file
 from momapos.model.scene.formats.sdf import read_room
+from momapos.model.scene.joint_resistance import known_resistance
+from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 
@@ -252,3 +254,22 @@ def test_bad_files_are_refused_in_one_line_and_leave_nothing(tmp_path: Path, cas
     text, message = BAD[case]
     (tmp_path / "m.stl").write_text("solid")
     assert_refused(tmp_path, read, text, message)
+
+
+def test_links_have_the_mass_of_the_file_at_its_center(tmp_path: Path) -> None:
+    """The door's origin is the hinge, 0.3 m from that of its link."""
+    inertial = "<inertial><pose>0 0.1 0 0 0 0</pose><mass>7.5</mass></inertial>"
+    head, door, tail = ROOM.partition('<pose relative_to="hinge">0 0.3 0 0 0 0</pose>')
+    item = read(tmp_path, head + door + inertial + tail).object("cabinet")
+    links = item.model.urdf.links
+    assert links["door"].mass == 7.5
+    assert_allclose(links["door"].center, (0, 0.4, 0), atol=1e-9)
+    assert links["drawer"].mass == 0.0
+    known = known_resistance(item, "hinge", ResistanceConfig())
+    assert known.mass == pytest.approx(7.5)
+
+
+def test_springs_of_joints_are_counted_as_dropped(tmp_path: Path) -> None:
+    text = ROOM.replace("<friction>1</friction>", "<spring_stiffness>9</spring_stiffness>")
+    report = read_room(write(tmp_path, text), tmp_path).final_report()
+    assert report.dropped["springs of joints"] == 1

@@ -213,3 +213,22 @@ def test_a_missing_package_is_reported_with_its_extra(
     monkeypatch.setitem(__import__("sys").modules, "pxr", None)
     with pytest.raises(MissingExtraError, match="pip install usd-core"):
         read_room(path, tmp_path)
+
+
+def test_links_have_the_mass_of_the_stage_at_its_center(tmp_path: Path) -> None:
+    """The stage is in centimeters and grams."""
+    from pxr import Usd, UsdPhysics
+
+    path = write(tmp_path)
+    stage = Usd.Stage.Open(str(path))
+    UsdPhysics.SetStageKilogramsPerUnit(stage, 1e-3)
+    drawer = stage.GetPrimAtPath("/World/cabinet/drawer")
+    stated = UsdPhysics.MassAPI.Apply(drawer)
+    stated.CreateMassAttr(2500.0)
+    stated.CreateCenterOfMassAttr((0.0, 10.0, 0.0))
+    stage.GetRootLayer().Save()
+    item = write_room(read_room(path, tmp_path), path, tmp_path / "out.json").object("cabinet")
+    link = item.model.urdf.links["drawer"]
+    assert link.mass == pytest.approx(2.5)
+    assert_allclose(link.center, (0, 0.1, 0), atol=1e-9)
+    assert item.model.urdf.links["door"].mass == 0.0

@@ -103,3 +103,11 @@ def sizes(item: SceneObject) -> np.ndarray:
     return np.concatenate(
         [np.ptp(hull.vertices, axis=0) for hulls in item.model.hulls.values() for hull in hulls]
     )
+
+
+def test_a_link_whose_mesh_is_turned_keeps_its_mass(tmp_path: Path) -> None:
+    path = urdf(tmp_path, "<up_axis>Y_UP</up_axis>")
+    inertial = '<inertial><origin xyz="0 0.1 0.2"/><mass value="30"/></inertial>'
+    path.write_text(path.read_text().replace("<collision>", f"{inertial}<collision>"))
+    link = read_furniture(path).links["b"]
+    assert (link.mass, link.center) == (30.0, (0.0, 0.1, 0.2))

@@ -29,7 +29,7 @@ from momapos.core import (
     resolved,
     write_atomic,
 )
-from momapos.model.urdf import Geometry, Link, Mesh, Urdf
+from momapos.model.urdf import Geometry, Mesh, Urdf
 
 from . import bestman
 from .formats import foreign_kind, is_map, obj_text, urdf_text
@@ -224,7 +224,11 @@ def save_model(name: str, urdf: Urdf, folder: Path) -> Path:
         return replace(shape, mesh=files[shape.mesh])
 
     links = {
-        key: Link(key, tuple(map(saved, link.collisions)), tuple(map(saved, link.visuals)))
+        key: replace(
+            link,
+            collisions=tuple(map(saved, link.collisions)),
+            visuals=tuple(map(saved, link.visuals)),
+        )
         for key, link in urdf.links.items()
     }
     return _write(folder, plain, ".urdf", urdf_text(replace(urdf, links=links)))

@@ -142,7 +142,11 @@ def _turned_up(urdf: Urdf, notes: list[str]) -> Urdf:
         return replace(item, T_link_geometry=T, size=size)
 
     links = {
-        name: Link(name, tuple(map(shape, link.collisions)), tuple(map(shape, link.visuals)))
+        name: replace(
+            link,
+            collisions=tuple(map(shape, link.collisions)),
+            visuals=tuple(map(shape, link.visuals)),
+        )
         for name, link in urdf.links.items()
     }
     if not turned:

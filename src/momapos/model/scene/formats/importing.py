@@ -36,7 +36,7 @@ from momapos.model.scene.scene_files import (
 )
 from momapos.model.scene.scene_names import FORMAT
 from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf import Geometry, Joint, Mesh, hull_of, joint_motion, mesh_triangles
+from momapos.model.urdf import Geometry, Joint, Link, Mesh, hull_of, joint_motion, mesh_triangles
 
 from .imported_room import DECIMALS, ImportedRoom, Names, RoomObject
 from .mjcf_files import OWN_TEXT
@@ -184,6 +184,7 @@ class _Writer:
         for link, body in bodies.items():
             number = 0
             shapes = urdf.links[link]
+            _weigh(body, shapes)
             for drawn, group in ((False, shapes.collisions), (True, shapes.visuals)):
                 for shape in group:
                     number += 1
@@ -258,6 +259,17 @@ def _mesh_of(shape: Geometry) -> Mesh:
     faces = faces.reshape(-1, 3)
     whole = (faces != np.roll(faces, 1, axis=1)).all(1)  # without degenerate triangles
     return Mesh(vertices, faces[whole])
+
+
+def _weigh(body: Element, link: Link) -> None:
+    """Give a body the mass of a link, and the inertia of a box as large as its shapes."""
+    if link.mass <= 0.0:
+        return
+    points = [hull_of(shape).vertices for shape in link.collisions]
+    squares = np.ptp(np.concatenate(points or [np.zeros((1, 3))]), axis=0) ** 2
+    moments = link.mass / 12 * (squares.sum() - squares)
+    words = {"pos": link.center, "mass": [link.mass], "diaginertia": moments}
+    SubElement(body, "inertial", {key: numbers(value) for key, value in words.items()})
 
 
 def _place(element: Element, T: Float[np.ndarray, "4 4"]) -> None:

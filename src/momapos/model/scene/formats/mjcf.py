@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -159,6 +159,8 @@ class Tree:
     prefix: str
     """Prefix of the part names, which is removed."""
     approximated: Counter[str]
+    weighed: Collection[int]
+    """Bodies whose mass the file states."""
     links: dict[str, Link] = field(default_factory=dict)
     joints: dict[int, Joint] = field(default_factory=dict)
     """Movable joints by MuJoCo's index."""
@@ -188,7 +190,7 @@ class Tree:
 
     def add_geom(self, geom: int, link: str) -> None:
         """Add a geom of the world as the whole object, in the geom's frame."""
-        self._add_link(self._link_names(link, "body"), [geom], invert(self.shapes.pose(geom)))
+        self._add_link(self._link_names(link, "body"), 0, [geom], invert(self.shapes.pose(geom)))
 
     def add_body(self, body: int, link: str) -> None:
         """Add a body of the world, and all bodies below it."""
@@ -199,7 +201,7 @@ class Tree:
             name = self._link_names(wanted, f"body_{number}")
             T_link_body = self._add_joints(number, parent, T_parent_body, name)
             first, count = self.model.body_geomadr[number], self.model.body_geomnum[number]
-            self._add_link(name, range(first, first + count), T_link_body)
+            self._add_link(name, number, range(first, first + count), T_link_body)
             waiting += [
                 (child, name, T_link_body @ self._offset(child))
                 for child in reversed(self.children[number])
@@ -294,7 +296,7 @@ class Tree:
             self.values[name] = value
 
     def _add_link(
-        self, link: str, geoms: Sequence[int], T_link_body: Float[np.ndarray, "4 4"]
+        self, link: str, body: int, geoms: Sequence[int], T_link_body: Float[np.ndarray, "4 4"]
     ) -> None:
         solid: list[Geometry] = []
         drawn: list[Geometry] = []
@@ -305,13 +307,17 @@ class Tree:
                 shapes = self.shapes.shapes(geom, T_link_body, name, solid=touched)
                 (solid if touched else drawn).extend(shapes)
                 self.solid += [geom] if touched and shapes else []
-        self.links[link] = Link(link, tuple(solid), tuple(drawn))
+        center = (T_link_body[:3, :3] @ self.model.body_ipos[body] + T_link_body[:3, 3]).tolist()
+        mass = float(self.model.body_mass[body]) if body in self.weighed else 0.0
+        self.links[link] = Link(link, tuple(solid), tuple(drawn), mass, tuple(center))
 
     def _shape_name(self, geom: int, link: str) -> str:
         name = self._bare(self.model.geom(geom).name).removeprefix(f"{link}/")
         return "".join(c if c.isprintable() else "_" for c in _NUMBER.sub("", name))[:200]
 
 
+WATER_DENSITY = 1000.0
+"""Density of geoms without one in MuJoCo [kg/m^3]."""
 MAX_FLOOR_HEIGHT = 1e-3
 """Height above the floor up to which fixed geometry counts as floor [m]."""
 MAX_NONLINEAR_COEFFICIENT = 1e-9
@@ -336,10 +342,24 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
     source = read_mjcf(path, root)
     text = tostring(source.tree, encoding="unicode")
     try:
-        model = mujoco.MjModel.from_xml_string(text, source.meshes)
+        spec = mujoco.MjSpec.from_string(text, assets=source.meshes)
+        model = spec.compile()
     except ValueError as error:
         raise FileFormatError(f"{path}: MuJoCo rejects it: {error}") from error
-    return _MjcfReader(path, model, source).room()
+    return _MjcfReader(path, model, source, _weighed(spec)).room()
+
+
+def _weighed(spec: Any) -> frozenset[int]:
+    """Return the bodies whose mass, or the mass or density of whose geoms, a file states.
+
+    MuJoCo gives all others the density of water.
+    """
+    return frozenset(
+        int(body.id)
+        for body in spec.bodies
+        if body.explicitinertial
+        or any(geom.mass > 0.0 or geom.density != WATER_DENSITY for geom in body.geoms)
+    )
 
 
 @dataclass
@@ -349,6 +369,8 @@ class _MjcfReader:
     path: Path
     model: Any
     source: Mjcf
+    weighed: frozenset[int]
+    """See `_weighed`."""
     report: ImportReport = field(default_factory=ImportReport)
 
     def __post_init__(self) -> None:
@@ -399,7 +421,9 @@ class _MjcfReader:
         ])  # fmt: skip
         trees = []
         for number, (name, prefix, link) in enumerate(names):
-            tree = Tree(m, self.shapes, self.children, name, prefix, self.report.approximated)
+            tree = Tree(
+                m, self.shapes, self.children, name, prefix, self.report.approximated, self.weighed
+            )
             if number < len(geoms):
                 tree.add_geom(geoms[number], link)
                 T = self.shapes.pose(geoms[number])
@@ -490,6 +514,7 @@ class _MjcfReader:
         self.report.kept["free joints"] = kinds[int(mujoco.mjtJoint.mjJNT_FREE)]
         balls = kinds[int(mujoco.mjtJoint.mjJNT_BALL)]
         self.report.approximated["ball joints as fixed"] += balls
+        self.report.dropped["springs of joints"] += int((self.model.jnt_stiffness != 0.0).sum())
         driven = {int(self.model.joint(name).id) for name in self.source.driven}
         for tree in trees:
             if count := len(driven & tree.joints.keys()):

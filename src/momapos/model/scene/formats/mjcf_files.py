@@ -30,8 +30,8 @@ MESHES = (".obj", ".stl", ".msh")
 _SECTIONS = {"compiler", "default", "asset", "worldbody", "equality"}
 _WORLD = {"body", "geom", "joint", "freejoint", "site", "frame", "replicate", "inertial"}
 _DEFAULTS = {"default", "geom", "joint", "site", "mesh", "equality"}
-_COMPILER = {"angle", "eulerseq", "autolimits"}
-"""Settings that define the meaning of numbers; others concern masses, files or speed."""
+_COMPILER = {"angle", "eulerseq", "autolimits", "inertiafromgeom"}
+"""Settings that define the meaning of numbers; others concern files or speed."""
 _UNUSED = {"material", "hfield", "user"}
 """Attributes that name dropped elements."""
 _SETTINGS = {"option", "size", "visual", "statistic"}
@@ -82,7 +82,7 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     flat = (_last(tree, "strippath") or "false") == "true"
     kept = _pruned(tree, dropped, path)
     meshes = _meshes(kept, path, root, meshdir, flat=flat)
-    SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # masses are not used
+    SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # bodies may have none
     own = [
         text.get("data") for text in tree.iterfind("custom/text") if text.get("name") == OWN_TEXT
     ]

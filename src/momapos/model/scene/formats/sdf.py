@@ -251,6 +251,8 @@ class Model:
                 lower, upper = -math.inf, math.inf
             friction = self._number(holder, "dynamics/friction")
             damping = self._number(holder, "dynamics/damping")
+            stiffness = self._number(holder, "dynamics/spring_stiffness")
+            self.report.dropped["springs of joints"] += stiffness != 0.0
         joint = Joint(name, found, parent, link, T, axis, lower, upper, math.inf)
         self.joints.append(replace(joint, friction=friction, damping=damping))
 
@@ -347,7 +349,9 @@ class Model:
             groups.append(tuple(shapes))
         for tag in ("sensor", "light"):
             self.report.dropped[f"{tag}s"] += len(element.findall(tag))
-        self.links[name] = Link(name, groups[0], groups[1])
+        mass = self._number(element, "inertial/mass")
+        center = T @ pose_of(element.find("inertial/pose"), f"{self.where}: inertial")
+        self.links[name] = Link(name, groups[0], groups[1], mass, tuple(center[:3, 3].tolist()))
 
     def _shapes(
         self,

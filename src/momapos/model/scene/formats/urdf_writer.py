@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
 def obj_text(mesh: Mesh) -> str:
     """Return a mesh as an OBJ file with all digits, so that it round-trips."""
     points, faces = (mesh.vertices + 0.0).tolist(), (mesh.faces + 1).tolist()
@@ -29,6 +32,12 @@ def urdf_text(urdf: Urdf) -> str:
     robot = Element("robot", name=urdf.name)
     for link in urdf.links.values():
         element = SubElement(robot, "link", name=link.name)
+        if link.mass > 0.0:
+            inertial = SubElement(element, "inertial")
+            SubElement(inertial, "origin", xyz=numbers(link.center))
+            SubElement(inertial, "mass", value=numbers([link.mass]))
+            # A point mass: readers of URDF require the element, and furniture here moves slowly.
+            SubElement(inertial, "inertia", dict.fromkeys(_MOMENTS, "0.0"))
         for tag, shapes in (("visual", link.visuals), ("collision", link.collisions)):
             for shape in shapes:
                 _shape(SubElement(element, tag), shape)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import FileFormatError, open_regular, require, resolved
-from momapos.core.geometry import invert, pose, pose_rpy, pose_wxyz
+from momapos.core.geometry import apply, invert, pose, pose_rpy, pose_wxyz
 from momapos.model.urdf import (
     MAX_POINTS,
     Geometry,
@@ -267,6 +267,7 @@ class _UsdReader:
         self.T_world_stage = pose_rpy((0, 0, 0), (math.pi / 2 * turned, 0, 0))
         self.cache = UsdGeom.XformCache(Usd.TimeCode.Default())
         self.physics = UsdPhysics
+        self.mass_unit = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
         self.shapes = ColliderShapes(self.report)
 
     def room(self) -> ImportedRoom:
@@ -391,8 +392,25 @@ class _UsdReader:
             shapes[links[owner.GetPath()] if known else base] += made
         if not any(shapes.values()):
             return None
-        tree = {link: Link(link, tuple(made), ()) for link, made in shapes.items()}
+        weights = {link: self._inertia(bodies[p], origins[p]) for p, link in links.items()}
+        tree = {
+            link: Link(link, tuple(made), (), *weights.get(link, ()))
+            for link, made in shapes.items()
+        }
         return RoomObject(name, T_world, Urdf(name, None, base, tree, tuple(records)), values)
+
+    def _inertia(
+        self, prim: Any, T_world_link: Float[np.ndarray, "4 4"]
+    ) -> tuple[float, tuple[float, float, float]] | tuple[()]:
+        """Return mass [kg] and center of mass of a link [m]; nothing without a mass."""
+        stated = self.physics.MassAPI(prim)
+        mass = float(stated.GetMassAttr().Get() or 0.0) * self.mass_unit
+        if not prim.HasAPI(self.physics.MassAPI) or mass <= 0.0:
+            return ()
+        center = np.array(stated.GetCenterOfMassAttr().Get(), float)
+        center = center if np.isfinite(center).all() else np.zeros(3)  # -inf: not stated
+        x, y, z = apply(invert(T_world_link) @ self._matrix(prim), center[None])[0].tolist()
+        return mass, (x, y, z)
 
     def _kind(self, prim: Any) -> JointKind:
         if prim.IsA(self.physics.RevoluteJoint):
