@@ -290,6 +290,8 @@ def test_friction_of_a_joint_that_follows_acts_along_its_leader(tmp_path: Path) 
     (ratio,) = [one.mimic.ratio for one in item.model.joints.values() if one.mimic is not None]
     known = known_resistance(item, leader, CONFIG)
     assert (known.friction, known.damping) == (abs(ratio) * 3.0, ratio**2 * 5.0)
+    slow = resistance_along(item, leader, np.linspace(0.0, 0.3, 31), 0.5, SLOW)
+    assert slow.source(30) == "6 Nm by <dynamics friction> of fold"
 
 
 @pytest.mark.parametrize("words", ['friction="-1"', 'damping="1e9"', 'friction="much"'])

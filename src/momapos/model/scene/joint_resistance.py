@@ -153,7 +153,7 @@ def stated_resistance(item: SceneObject, joint: str) -> JointResistance:
     given = item.resistance.get(joint, JointResistance())
     found = _file_values(item.model, joint)
     friction, damping = (
-        found[key] or None if value is None else value
+        sum(found[key].values()) or None if value is None else value
         for key, value in (("friction", given.friction), ("damping", given.damping))
     )
     return replace(given, friction=friction, damping=damping)
@@ -210,18 +210,20 @@ def assumes_springs(item: SceneObject, joint: str, config: ResistanceConfig) -> 
     return given.balanced is None and is_flap(item, joint, config)
 
 
-def _file_values(model: Articulated, joint: str) -> dict[str, float]:
+def _file_values(model: Articulated, joint: str) -> dict[str, dict[str, float]]:
     """Return friction and damping of a joint and of those that follow it, by their `<dynamics>`.
 
-    They act along the joint, by the work of each; 0 where the file says nothing. An explicit 0
-    counts as nothing, because exporters write it by default.
+    They act along the joint, by the work of each. An explicit 0 counts as nothing, because
+    exporters write it by default.
     """
-    found = {"friction": 0.0, "damping": 0.0}
+    found: dict[str, dict[str, float]] = {"friction": {}, "damping": {}}
     for one in model.joints.values():
         follows = one.mimic is not None and one.mimic.joint == joint
         ratio = abs(one.mimic.ratio) if one.mimic is not None and follows else one.name == joint
-        found["friction"] += ratio * one.friction
-        found["damping"] += ratio**2 * one.damping
+        acting = {"friction": ratio * one.friction, "damping": ratio**2 * one.damping}
+        for key, value in acting.items():
+            if value:
+                found[key][one.name] = value
     return found
 
 
@@ -231,9 +233,9 @@ def _file_words(item: SceneObject, joint: str) -> dict[str, str]:
     slides = item.joint(joint).kind == "prismatic"
     units = {"friction": "N" if slides else "Nm", "damping": "Ns/m" if slides else "Nms/rad"}
     return {
-        key: f"{value:.3g} {units[key]} by <dynamics {key}> of {joint}"
-        for key, value in _file_values(item.model, joint).items()
-        if value and getattr(given, key) is None
+        key: f"{sum(of.values()):.3g} {units[key]} by <dynamics {key}> of {' and '.join(of)}"
+        for key, of in _file_values(item.model, joint).items()
+        if of and getattr(given, key) is None
     }
 
 
