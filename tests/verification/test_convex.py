@@ -144,15 +144,20 @@ def one_shape(kind: str, size: tuple[float, ...]) -> Shapes:
     return shapes_of(model, bodies_of(model))
 
 
-@pytest.mark.parametrize("press", [0.0, 0.01, 0.05])
-def test_a_ball_on_its_way_first_touches_where_the_gap_ends(press: float) -> None:
-    """It then moves on by `press`, or to the end of its path."""
-    ball, wall = one_shape("sphere", (0.05,)), one_shape("box", (0.2, 1.0, 1.0))
+@pytest.mark.parametrize("lean", [0.0, 0.5, 1.2])
+def test_a_ball_on_its_way_bites_by_the_cosine_of_its_angle_to_the_normal(lean: float) -> None:
+    """Whether the path begins before the wall, or in it; a path that ends there bites less."""
+    ball, wall = one_shape("sphere", (0.05,)), one_shape("box", (0.2, 9.0, 9.0))
     travel = np.linspace(0.0, 0.3, 601)
     Ts = np.tile(np.eye(4), (601, 1, 1, 1))
-    Ts[:, 0, 0, 3] = -0.4 + travel  # it touches the wall at -0.15
-    state, depth = first_contact(ball, Ts, travel, wall, np.eye(4)[None], press)
-    assert travel[state] == pytest.approx(0.25, abs=6e-4)
-    assert depth == pytest.approx(min(press, 0.05), abs=1.1e-3)
-    state, depth = first_contact(ball, Ts[:400], travel[:400], wall, np.eye(4)[None], press)
-    assert (state, depth) == (-1, -np.inf)
+    for first in (-0.2, -0.145):
+        Ts[:, 0, 0, 3] = first + np.cos(lean) * travel  # it touches the wall at -0.15
+        Ts[:, 0, 1, 3] = np.sin(lean) * travel
+        state, bite = first_contact(ball, Ts, travel, wall, np.eye(4)[None], 0.01)
+        assert travel[state] == pytest.approx(max(-0.15 - first, 0.0) / np.cos(lean), abs=6e-4)
+        assert bite == pytest.approx(np.cos(lean), abs=1e-3)
+        last = state + 11  # 5.5 of 10 mm
+        _, bite = first_contact(ball, Ts[:last], travel[:last], wall, np.eye(4)[None], 0.01)
+        assert bite == pytest.approx(0.5 * np.cos(lean), abs=1e-3)
+    Ts[:, 0, 0, 3] = -0.16
+    assert first_contact(ball, Ts, travel, wall, np.eye(4)[None], 0.01) == (-1, -np.inf)

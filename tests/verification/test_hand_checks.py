@@ -112,6 +112,7 @@ HELD = [
     Grip((0.03, 0.0, 0.0)),
     Grip((0.0, 0.006, 0.0)),
     Grip((0.0, 0.0, -0.015)),
+    Grip(roll=25.0),
 ]
 MISSED = [
     Grip((0.0, 0.0, -0.03)),
@@ -122,7 +123,10 @@ MISSED = [
     Grip((0.0, 0.014, 0.0)),
     Grip((0.0, -0.014, 0.0)),
     Grip((0.0, 0.05, 0.0)),
+    Grip(roll=38.0),
+    Grip(roll=-60.0),
 ]
+"""Rolled beyond the friction cone, pads slip off the bar, also where they touch it while open."""
 ACROSS = [Grip(roll=90.0), Grip(roll=-90.0)]
 
 
@@ -207,20 +211,20 @@ def test_the_open_hand_does_not_come_through_the_part(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "check"),
+    ("name", "checks"),
     [
-        ("tour_1_away2cm", None),
-        ("tour_1_away5cm", OFF),
-        ("pick_back55mm", OFF),
-        ("oven_fetch_roll90", INSIDE),
-        ("open_segway_roll-90", INSIDE),
+        ("tour_1_away2cm", []),
+        ("tour_1_away5cm", [OFF]),
+        ("pick_back55mm", [OFF]),
+        ("oven_fetch_roll90", [INSIDE, OFF]),
+        ("open_segway_roll-90", [INSIDE, OFF]),
     ],
 )
-def test_published_plans_are_judged_by_the_hand(name: str, check: str | None) -> None:
+def test_published_plans_are_judged_by_the_hand(name: str, checks: list[str]) -> None:
     """In the first one, half of the pads still reach over the whole bar."""
     plan = optional.there(CASES / "plans" / f"{name}.json")
     found = [one.name for one in verify_files(plan).violations]
-    assert found == ([] if check is None else [check])
+    assert found == checks
 
 
 @pytest.mark.parametrize("family", ["pinch", "suction", "push"])

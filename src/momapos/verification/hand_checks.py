@@ -37,9 +37,6 @@ HOLD_CHECK = "hand off the part that it holds"
 """It depends on the grasp alone, wherever the robot stands."""
 PRESS = 0.002
 """How far pads are pressed on after they touch; rubber yields as much [m]."""
-MIN_BITE = 0.7
-"""Share of `PRESS` by which a pad must then be in the part. It is less where the pad meets the part
-at more than 45 degrees, or only with its edge: it slips there [-]."""
 MAX_FACING = -0.5
 """Largest cosine between the motions of two fingers that close on each other [-]."""
 STEP = 5e-4
@@ -368,12 +365,14 @@ class HandChecker:
         family, far = grasp.family, self.limits.hand_gap + PRESS
         if hand.digits and family not in ("push", "suction"):
             found.append(self._fingers_gap(hand, grasp))
-        closes = [_meets(digit, grasp)[0] for digit in hand.digits]
+        closes = [self._meets(digit, grasp)[0] for digit in hand.digits]
         hooks = family != "hook" or not closes or min(closes) < math.inf  # not a flat face
         if grasp.forward is not None and family != "suction" and hooks:
-            found.append((_meets(hand.pushed(grasp.forward, far), grasp)[0], "it is not behind it"))
+            ahead = self._meets(hand.pushed(grasp.forward, far), grasp)[0]
+            found.append((ahead, "it is not behind it"))
         if family == "suction" or (family == "" and len(hand.digits) < 2):
-            found.append((_meets(hand.pushed(hand.approach, far), grasp)[0], "it does not face it"))
+            ahead = self._meets(hand.pushed(hand.approach, far), grasp)[0]
+            found.append((ahead, "it does not face it"))
         return min(found, default=(math.inf, "no tool that it holds with"))
 
     def _fingers_gap(self, hand: Hand, grasp: _Grasp) -> tuple[float, str]:
@@ -381,7 +380,7 @@ class HandChecker:
 
         A single finger closes on a fixed jaw, which is then this far from the part.
         """
-        contacts = [_meets(digit, grasp) for digit in hand.digits]
+        contacts = [self._meets(digit, grasp) for digit in hand.digits]
         touching = [(travel, along) for travel, along in contacts if np.isfinite(travel)]
         gaps = [
             abs(a - b) / 2
@@ -391,10 +390,22 @@ class HandChecker:
         ]
         if len(hand.digits) == 1 and touching:
             jaw = hand.pushed(-touching[0][1], self.limits.hand_gap + PRESS)
-            gaps.append(_meets(jaw, grasp)[0])
+            gaps.append(self._meets(jaw, grasp)[0])
         if not gaps:
             return math.inf, "its fingers close past it"
         return min(gaps), "its fingers don't meet it together"
+
+    def _meets(self, path: Path, grasp: _Grasp) -> tuple[float, Float[np.ndarray, "3"]]:
+        """Return the travel until shapes on a path firmly touch the part [m], and their direction.
+
+        The travel is infinite if they don't, or slip off it: friction holds a pad where its motion
+        is within the friction cone around the normal of the contact, and not with its edge only.
+        """
+        state, bite = first_contact(
+            path.shapes, path.Ts_tool_shape, path.travel, grasp.near, grasp.Ts_tool_near, PRESS
+        )
+        firm = state >= 0 and bite >= math.cos(math.atan(self.limits.friction))
+        return float(path.travel[state]) if firm else math.inf, path.direction[state]
 
 
 def _held_states(motion: Motion, path: DensePath, *, rigid: bool) -> list[tuple[str, int]]:
@@ -408,18 +419,6 @@ def _held_states(motion: Motion, path: DensePath, *, rigid: bool) -> list[tuple[
             states.add((hold.first + hold.last) // 2)
         found += [(hold.family, int(path.planned[state])) for state in sorted(states)]
     return found
-
-
-def _meets(path: Path, grasp: _Grasp) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Return the travel until shapes on a path firmly touch the part [m], and their direction.
-
-    The travel is infinite if they don't, or slip off it.
-    """
-    state, depth = first_contact(
-        path.shapes, path.Ts_tool_shape, path.travel, grasp.near, grasp.Ts_tool_near, PRESS
-    )
-    firm = state >= 0 and depth >= MIN_BITE * PRESS
-    return float(path.travel[state]) if firm else math.inf, path.direction[state]
 
 
 def _overlap(

@@ -66,13 +66,15 @@ def first_contact(
         press: How much farther to move after the contact [m].
 
     Returns:
-        The state, -1 if there is none, and the deepest overlap after moving on [m].
+        The state, -1 if there is none, and by how much the deepest overlap then grows, as a share
+        of the motion: 1 if the shapes move along the normal of the contact, 0 if they slide along
+        it, and less than 1 also if the path ends before.
     """
-    state, depth = _first_contact(
+    state, bite = _first_contact(
         all_pairs(len(a), len(b)), np.ascontiguousarray(Ts_a), travel,
         np.ascontiguousarray(Ts_b), a.arrays, b.arrays, press,
     )  # fmt: skip
-    return int(state), float(depth)
+    return int(state), float(bite)
 
 
 def all_pairs(count_a: int, count_b: int) -> Int[np.ndarray, "p 2"]:
@@ -166,7 +168,8 @@ def _first_contact(
     on = s
     while on < count - 1 and travel[on] - travel[s] < press:
         on += 1
-    return int(s), _depth_at(pairs, Ts_a[on], Ts_b, a, b, T)
+    grown = _depth_at(pairs, Ts_a[on], Ts_b, a, b, T) - depth
+    return int(s), grown / max(travel[on] - travel[s], press)
 
 
 @kernel
