@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cupboards import LATCHES, carcass, furniture_room, joint, link
+from tests.cupboards import HINGE, LATCHES, carcass, furniture_room, joint, link, turning
 
 from momapos.model.records.plans import JointResistance
 from momapos.model.robots.robot import Robot
@@ -90,6 +90,19 @@ def test_a_yes_that_leaves_a_possible_latch_alone_names_it(
     found = answer_of(robots("fetch"), scene, "hinge", np.pi / 4)
     assert found.plan.status == "solved"
     assert [note for note in found.notes if note.startswith("turn stays as it is, on the guess")]
+
+
+def test_a_yes_names_a_leaf_on_the_part_that_may_swing_by_itself(
+    robots: Callable[[str], Robot], tmp_path: Path
+) -> None:
+    handle = ((0.02, 0.02, 0.16), (-0.05, 0.53, 0.1))
+    door = link("door", ((0.02, 0.59, 0.88), (0, 0.295, 0)), handle=handle)
+    leaf = link("grip", ((0.02, 0.3, 0.4), (-0.04, -0.2, -0.25)))
+    swings = turning("revolute", (0, 0, 1), (0, 1.5))
+    scene = furniture_room(tmp_path, [carcass(), door, HINGE, leaf, swings])
+    found = answer_of(robots("fetch"), scene, "hinge", 0.6)
+    assert found.plan.status == "solved"
+    assert [note for note in found.notes if note.startswith("turn on the part counts as held")]
 
 
 def test_a_yes_names_the_friction_of_the_file_that_most_of_the_pull_is_due_to(

@@ -15,6 +15,7 @@ from momapos.model.scene import (
     assumes_springs,
     is_ajar,
     latch_guess,
+    loose_joints,
     resistance_along,
     stays_in_place,
 )
@@ -44,7 +45,7 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
     notes = (
         _hand_note(prepared), _floor_note(plan, prepared), _file_note(prepared),
-        _latch_note(prepared), _spring_note(plan, prepared), outside,
+        _latch_note(prepared), _loose_note(prepared), _spring_note(plan, prepared), outside,
     )  # fmt: skip
     return tuple(note for note in notes if note)
 
@@ -100,6 +101,18 @@ def _latch_note(prepared: PreparedTask) -> str:
     return guess and (
         f"{guess} stays as it is, on the guess that it is no latch; if it is one, declare it as "
         f"'latch' of {target.name} in the scene"
+    )
+
+
+def _loose_note(prepared: PreparedTask) -> str:
+    """Return which joints on the part may move by themselves, which nothing checks."""
+    task = prepared.task
+    if task.joint is None:
+        return ""
+    loose = " and ".join(loose_joints(prepared.scene.object(task.object), task.joint))
+    return loose and (
+        f"{loose} on the part counts as held in place; if it swings or slides by itself, what it "
+        "hits is not checked"
     )
 
 

@@ -24,7 +24,7 @@ from tests.cupboards import (
 
 from momapos.core.errors import MomaposError
 from momapos.model.records.plans import JointResistance, Latch
-from momapos.model.scene.latches import latch_guess, latch_to_turn, part_values
+from momapos.model.scene.latches import latch_guess, latch_to_turn, loose_joints, part_values
 from momapos.model.scene.model_copies import copied
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
@@ -187,5 +187,6 @@ def test_a_small_joint_with_a_short_range_near_the_free_edge_may_be_a_latch(
     item = _with_small_part(tmp_path, joint_text, size, "-0.03 0 0")
     assert latch_guess(item, "hinge") == ("turn" if guessed else "")
     assert latch_guess(item, "turn") == ""
+    assert loose_joints(item, "hinge") == (["turn"] if size == "0.02 0.3 0.6" else [])
     declared = replace(item, latch=Latch("turn", 0.3, "hinge"))
     assert latch_guess(declared, "hinge") == ""

@@ -15,6 +15,7 @@ from .latches import is_ajar as is_ajar
 from .latches import latch_guess as latch_guess
 from .latches import latch_to_turn as latch_to_turn
 from .latches import latch_value as latch_value
+from .latches import loose_joints as loose_joints
 from .latches import part_values as part_values
 from .model_copies import copied as copied
 from .model_copies import model_files as model_files

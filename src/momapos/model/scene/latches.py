@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -73,11 +73,55 @@ def latch_guess(item: SceneObject, joint: str) -> str:
     """
     if item.latch is not None and item.latch.holds == joint:
         return ""
-    model, record, poses = item.model, item.joint(joint), item.link_poses()
-    inside = {name: one for name, one in model.joints.items() if _may_be_latch(model, joint, one)}
-    moved = {name: set(model.moved_by(name)) for name in inside}
+    for name, own, whole in _on_part(item, joint):
+        other = item.joint(name)
+        longest = MAX_BOLT_TRAVEL if other.kind == "prismatic" else MAX_LEVER_TURN
+        if (
+            other.upper - other.lower <= longest
+            and _is_small(own, whole)
+            and _is_near_edge(own.mean(0), whole, item.joint(joint))
+        ):
+            return name
+    return ""
+
+
+def loose_joints(item: SceneObject, joint: str) -> list[str]:
+    """Return joints on a part that may swing or slide by themselves as the part moves.
+
+    What they move is no latch and not small, such as a second leaf that follows no joint.
+
+    Args:
+        item: The object.
+        joint: Joint of the part.
+    """
+    latch = None if item.latch is None else item.latch.joint
+    return [
+        n for n, own, whole in _on_part(item, joint) if n != latch and not _is_small(own, whole)
+    ]
+
+
+def _on_part(
+    item: SceneObject, joint: str
+) -> Iterator[tuple[str, Float[np.ndarray, "2 3"], Float[np.ndarray, "2 3"]]]:
+    """Yield joints on the part that another joint moves, with boxes around what they move.
+
+    Mimic joints and those with hardly any range are left out.
+
+    Returns:
+        The joint, lowest and highest corner of what it moves, and of the rest of the part [m], in
+        the frame of the part's joint.
+    """
+    model, poses = item.model, item.link_poses()
+    moved = {
+        name: set(model.moved_by(name))
+        for name, one in model.joints.items()
+        if name != joint
+        and one.mimic is None
+        and one.child in model.moved_by(joint)
+        and one.upper - one.lower > MIN_LATCH_TRAVEL
+    }
     leaf = set(model.moved_by(joint)).difference(*moved.values())
-    back = invert(poses[record.child])
+    back = invert(poses[item.joint(joint).child])
 
     def corners(links: Collection[str]) -> Float[np.ndarray, "2 3"] | None:
         points = [apply(back @ poses[n], hull.vertices) for n in links for hull in model.hulls[n]]
@@ -87,22 +131,8 @@ def latch_guess(item: SceneObject, joint: str) -> str:
     whole = corners(leaf)
     for name, links in moved.items():
         own = corners(links)
-        if whole is None or own is None or not _is_small(own, whole):
-            continue
-        if _is_near_edge(own.mean(0), whole, record):
-            return name
-    return ""
-
-
-def _may_be_latch(model: Articulated, joint: str, other: Joint) -> bool:
-    """Check whether a joint with a short range is on the part that another joint moves."""
-    slides, travel = other.kind == "prismatic", other.upper - other.lower
-    return (
-        other.name != joint
-        and other.mimic is None
-        and other.child in model.moved_by(joint)
-        and MIN_LATCH_TRAVEL < travel <= (MAX_BOLT_TRAVEL if slides else MAX_LEVER_TURN)
-    )
+        if whole is not None and own is not None:
+            yield name, own, whole
 
 
 def _is_small(own: Float[np.ndarray, "2 3"], whole: Float[np.ndarray, "2 3"]) -> bool:
