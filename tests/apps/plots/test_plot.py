@@ -5,10 +5,14 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from jaxtyping import Float
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from momapos.apps.plots.answer_plot import draw_answer
 from momapos.core.errors import InputError
@@ -124,6 +128,43 @@ def test_equal_answers_give_equal_figures(kitchen: Scene, fetch: Robot, tmp_path
     for name in ("a.png", "b.png"):
         draw_answer(kitchen, answer, Near(), tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """The figures that a test saves."""
+    found, save = [], Figure.savefig
+
+    def keep(figure: Figure, *args: Any, **options: Any) -> None:
+        found.append(figure)
+        save(figure, *args, **options)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    return found
+
+
+def test_the_drive_is_drawn_along_the_path_of_the_base(
+    kitchen: Scene, fetch: Robot, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    answer = answer_of(kitchen, fetch, "open", "fridge", "door_hinge")
+    corner = np.array([[2.6, -3.1, 0.0], [1.0, -3.2, 2.0], BASE])
+    answer = replace(answer, plan=replace(answer.plan, base_path=corner))
+    draw_answer(kitchen, answer, Near(), tmp_path / "a.png")
+    lines = [np.asarray(line.get_xydata()) for line in drawn[0].findobj(Line2D)]
+    assert any(np.array_equal(line, corner[:, :2]) for line in lines)
+
+
+def test_all_characters_of_a_figure_are_drawn(
+    kitchen: Scene, fetch: Robot, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """Where a text could not be shown, it has a question mark."""
+    answer = answer_of(kitchen, fetch, "open", "fridge", "door_hinge")
+    counted = replace(answer.plan.candidates, sampled=12345)
+    answer = replace(answer, plan=replace(answer.plan, candidates=counted))
+    draw_answer(kitchen, answer, Near(), tmp_path / "a.png")
+    words = [text.get_text() for text in drawn[0].findobj(Text)]
+    assert "12,345" in words
+    assert not any("?" in text for text in words)
 
 
 @pytest.mark.parametrize(

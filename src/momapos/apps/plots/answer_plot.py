@@ -339,7 +339,7 @@ def _seconds(t: float) -> str:
 
 
 def _grouped(count: int) -> str:
-    return f"{count:,}".replace(",", "\u2009")
+    return f"{count:,}"
 
 
 def _write_outcomes(
@@ -664,7 +664,8 @@ def _draw_robot(axes: Any, answer: PlacementResult) -> None:
     draw_footprint(axes, robot, answer.start, dashed=True)
     if plan.base_pose is not None and plan.motion is not None:
         base = np.array(plan.base_pose)
-        _draw_drive(axes, answer.start, base, plan.navigation_cost)
+        path = np.stack([answer.start, base]) if plan.base_path is None else plan.base_path
+        _draw_drive(axes, path, plan.navigation_cost)
         draw_footprint(axes, robot, base)
         states = robot.chain.freedom_values(plan.motion.q)
         bases = plan.motion.base_poses(plan.base_pose)
@@ -699,19 +700,20 @@ def waypoints_by_grasp(answer: PlacementResult) -> list[Float[np.ndarray, "w 3"]
     ]
 
 
-def _draw_drive(
-    axes: Any, start: Float[np.ndarray, "3"], base: Float[np.ndarray, "3"], length: float | None
-) -> None:
-    """Draw a line from the start to the base, labeled with the driving length."""
+def _draw_drive(axes: Any, path: Float[np.ndarray, "k 3"], length: float | None) -> None:
+    """Draw the path from the start to the base, labeled with the driving length at its middle."""
     from matplotlib.patheffects import withStroke
 
-    line = np.stack([start[:2], base[:2]])
+    line = path[:, :2]
     axes.plot(*line.T, color=INK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=_PATH_LAYER)
-    if length is None:
+    if length is None or len(line) < 2:
         return
-    angle = np.degrees(np.arctan2(*(line[1] - line[0])[::-1]))
+    driven = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    ends = driven[-1] * np.array([0.45, 0.5, 0.55])
+    before, middle, after = np.column_stack([np.interp(ends, driven, side) for side in line.T])
+    angle = np.degrees(np.arctan2(*(after - before)[::-1]))
     words = axes.text(
-        *line.mean(0), label(f"{length:.2f} m"), size=7, color=INK, ha="center", va="bottom",
+        *middle, label(f"{length:.2f} m"), size=7, color=INK, ha="center", va="bottom",
         rotation=(angle + 90) % 180 - 90, rotation_mode="anchor", zorder=16,
         path_effects=[withStroke(linewidth=2, foreground="white")],
     )  # fmt: skip
