@@ -115,6 +115,7 @@ class Collision:
     one: str
     """Link of the robot, or OBJECT/LINK."""
     other: str
+    """What it touched, in the same form."""
     force: float
     """Maximum normal force [N]."""
     depth: float
@@ -124,6 +125,7 @@ class Collision:
     first: float
     """Time of the first contact, since the start of the run [s]."""
     stage: str
+    """Stage of the run, see `RunMotion.stages`."""
 
 
 @dataclass(frozen=True)
@@ -185,12 +187,17 @@ class Execution:
     start: float
     """Initial value of the joint [rad] or [m]; for movable objects the height [m]."""
     asked: float
+    """Requested value of the joint [rad] or [m], or height of the object [m]."""
     reached: float
+    """Final value of it."""
     collisions: tuple[Collision, ...] = ()
     """Hardest first."""
     slip: Slip = Slip()
+    """How far the object moved in the hand."""
     load: Load = Load()
+    """How hard the object pulled at the hand."""
     tracking: Tracking = Tracking()
+    """How well the motors followed."""
     stability: float | None = None
     """Least distance from tipping over: of the zero moment point from the edge of the area that the
     wheels stand on [m]; None if masses or wheels are unknown, and in older records."""
@@ -226,6 +233,7 @@ class Visit:
     planned: Pose
     """x [m], y [m], yaw [rad]."""
     reached: Pose
+    """The pose at which the drive ended, in the same form."""
     length: float
     """Driven distance [m]."""
     seconds: float
@@ -247,8 +255,11 @@ class RunRecord:
     """Result of executing a plan."""
 
     scene: str
+    """Path or name of the plan's scene."""
     robot: str
+    """Name of the robot."""
     task: Task
+    """The task of the plan."""
     visits: tuple[Visit, ...]
     """All drives; `Execution.base_pose` tells after which one a motion was executed."""
     execution: Execution | None
@@ -259,10 +270,13 @@ class RunRecord:
     """Kind of part that each motion assumed, one of `PartKind`; empty if the scene knows the
     part's joint."""
     seed: int = 0
+    """Seed of the noise."""
     noise: bool = False
+    """Whether drives and resistances have noise."""
     time: Mapping[str, float] = field(default_factory=dict)
     """Computing time by stage [s]: drive, plan, execute."""
     versions: Mapping[str, str] = field(default_factory=dict)
+    """Versions of the packages that the run depends on."""
     plan: str = ""
     """Path of the plan file, relative to the record's folder; "" if unknown."""
     world: str = ""

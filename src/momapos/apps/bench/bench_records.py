@@ -146,12 +146,19 @@ class Row:
     """Result of a job; its fields are the columns of the results file."""
 
     key: str
+    """Hash of all that the answer depends on."""
     task: str
+    """Name of the task."""
     group: str
+    """Class of the task."""
     robot: str
+    """Name of the robot."""
     method: str
+    """Method of choosing base poses, with its settings."""
     seed: int
+    """Seed of the search."""
     outcome: Outcome
+    """How the job ended."""
     reason: str = ""
     """Why the task is unsolved or failed in physics; "" otherwise."""
     verified: bool | None = None
@@ -182,6 +189,7 @@ class Row:
     protocol: str = str(DEFAULT_PROTOCOL)
     """How the base pose counts, and the grasps: the words of `Protocol`."""
     host: str = ""
+    """Name of the machine."""
     finished: float = 0.0
     """Unix time [s]."""
 

@@ -15,114 +15,6 @@ import msgspec
 from momapos.model.plan_files import PlanAssumption
 from momapos.model.records import Status, Verb
 
-WORDS: dict[str, dict[str, str]] = {
-    "Plan": {
-        "format": "Name of the format.",
-        "version": "Version of the format.",
-        "scene": "Path of the scene file, relative to the plan.",
-        "robot": "The robot.",
-        "task": "The task.",
-        "status": "Whether there is a motion; `assumed`: for a less probable joint.",
-        "joints": "Names of the joints in each state: arm, and what follows it.",
-        "scene_joints": "Joint values that differ from the scene file, by object and joint "
-                        "[rad] or [m].",
-        "scene_hypotheses": "Index of the assumed hypothesis, by object and joint.",
-        "assumption": "What an assumed plan assumes.",
-        "resistance": "Known resistance of the moved part, by object and joint.",
-        "overrides": "Forces and masses that the user has set, against or beyond the files.",
-        "loads": "Worst loads of the motion.",
-        "feasible_to": "Largest feasible value of an infeasible task [rad] or [m].",
-        "feasible_from": "A base pose from which it is feasible.",
-        "feasible_sure": "Whether the part itself is blocked beyond this value.",
-        "advice": "A change with which a plan exists.",
-        "start": "Pose of the base before the task.",
-        "base_pose": "Pose of the base at which the arm moves.",
-        "base_path": "Poses of the base from the start to the base pose: x [m], y [m], yaw [rad].",
-        "approach": "States of the arm from home to the grasp [rad] or [m].",
-        "approach_times": "Time of each state of the approach [s].",
-        "home": "States of the arm on its way home after the task [rad] or [m].",
-        "manipulation": "The motion from the grasp on.",
-        "navigation_cost": "Length of the drive [m].",
-        "cost": "Terms of the cost of the base pose, by name.",
-        "candidates": "The base poses that were examined.",
-        "importance": "The objects that were modeled with joints.",
-        "tolerance": "How far the base may be from its pose.",
-        "region": "Where the base was allowed to stand.",
-        "notes": "What a user should know, one line each.",
-        "timing": "Computing time by stage, and `total` of the search [s].",
-        "method": "Method of choosing base poses.",
-        "seed": "Seed of the search.",
-        "versions": "Versions of the packages that the answer depends on.",
-    },
-    "PlanRobot": {
-        "name": "Name of the robot.",
-        "urdf": "Path of its URDF, relative to the plan.",
-        "base_link": "Link on the floor.",
-        "tool_link": "Link whose frame is the tool frame.",
-        "file": "Name of a library robot, or path of a robot file.",
-        "srdf": "Path of an SRDF that is not next to the URDF.",
-        "rest": "Values of joints that the plan does not move, by joint [rad] or [m].",
-        "arm": "The arm, of a robot with several.",
-        "drive": "How the base drives.",
-        "min_turning_radius": "Least turning radius of a car-like base [m].",
-    },
-    "PlanTask": {
-        "verb": "What to do.",
-        "object": "The object.",
-        "joint": "The joint to move; null for a rigid object.",
-        "to": "Value that it must reach [rad] or [m].",
-        "farthest": "Whether this is the largest value that works.",
-        "follower": "Joint that the user named, which follows `joint`; empty if none.",
-    },
-    "PlanPose": {"x": "[m]", "y": "[m]", "yaw": "[rad]"},
-    "Manipulation": {
-        "q": "States of the arm, in the order of `joints` [rad] or [m].",
-        "object_q": "Value of the moved joint at each state [rad] or [m].",
-        "T_world_tool": "Pose of the tool frame in the world at each state, 4 x 4.",
-        "latch_q": "Value of the latch at each state [rad] or [m].",
-        "times": "Time of each state from the grasp on [s].",
-        "holds": "First and last state of each phase in which the hand holds the part.",
-        "turn_axes": "Axis about which the hand may turn in each phase, in the moved link's frame.",
-        "families": "Kind of grasp of each phase: pinch, hook, push or suction.",
-        "hold_words": "What is held and how, of each phase.",
-    },
-    "PlanNearestMiss": {"base_pose": "The base pose.", "reason": "What stopped it."},
-    "PlanCandidates": {
-        "sampled": "Number of base poses [-].",
-        "checked": "Number of base poses that were checked for an arm path [-].",
-        "rejections": "Number of rejected base poses, by reason [-].",
-        "nearest": "The rejected base pose that came nearest.",
-    },
-    "PlanImportance": {
-        "scorer": "How objects were scored.",
-        "alpha": "Score from which objects are modeled [-].",
-        "names": "Modeled objects.",
-        "scores": "Score of each object [-].",
-        "rounds": "How often a plan was checked again with more objects [-].",
-    },
-    "PlanRegion": {
-        "keep_in": "Areas in which the base must stand: corners x, y [m].",
-        "keep_out": "Areas that it must not touch, standing or driving: corners x, y [m].",
-        "facing": "Largest angle between its x axis and the direction to the grasp [rad].",
-        "most_driving": "Longest drive [m].",
-    },
-    "PlanTolerance": {
-        "radius": "Replanning succeeded from all sampled poses within this distance [m],",
-        "turn": "and within this turn [rad].",
-        "samples": "Number of sampled poses [-].",
-    },
-    "PlanCostTerm": {"value": "Before weighting.", "weight": "Its weight."},
-    "PlanAssumption": {
-        "kind": "Assumed kind of the part.",
-        "probability": "Its probability [-].",
-        "instead_of": "Most probable kind.",
-        "instead_probability": "Its probability [-].",
-        "feasible_to": "How far the most probable joint opens [rad] or [m].",
-    },
-}  # fmt: skip
-"""Descriptions by record and member."""
-
-
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
 _NONZERO = ("seal_travel", "lever", "mass")
@@ -243,7 +135,7 @@ def _schema(kind: type) -> Schema:
     _, parts = msgspec.json.schema_components([kind], ref_template="#/$defs/{name}")
     kinds = _records(kind)
     for name, part in parts.items():
-        docs = (_member_docs(kinds[name]) if name in kinds else {}) | WORDS.get(name, {})
+        docs = _member_docs(kinds[name]) if name in kinds else {}
         for member, words in docs.items():
             if member in part.get("properties", {}):
                 _describe(part["properties"], member, words)
@@ -373,19 +265,27 @@ class SolveFile(msgspec.Struct, kw_only=True):
     """Record of a task in a scanned room; all files are in its folder."""
 
     format: Literal["momapos-solve"]
+    """Name of the format."""
     version: Literal[1]
+    """Version of the format."""
     verb: Verb
+    """What to do."""
     object: str
+    """The object, by its name in the scene."""
     joint: str | None
+    """The joint to move; null for a movable object."""
     to: float | None
     """Value that the task requests [rad] or [m]."""
     robot: str
+    """Name of the robot."""
     method: str
     """Method of choosing base poses."""
     seed: int
+    """Seed of the search."""
     status: Status
     """Status of the plan."""
     assumption: PlanAssumption | None = None
+    """What an assumed plan assumes."""
     done: bool | None
     """Whether the run did the task; null if nothing was run."""
     reason: str
@@ -393,7 +293,9 @@ class SolveFile(msgspec.Struct, kw_only=True):
     cloud: str
     """The fused cloud."""
     scene: str
+    """The scene."""
     plan: str
+    """The plan."""
     run: str | None
     """The record of the run."""
     alphas: list[float]

@@ -33,8 +33,11 @@ class TourFile(msgspec.Struct, frozen=True):
     """The content of a tour file."""
 
     status: Status
+    """Status of the last plan; `assumed` if an earlier one is."""
     steps: Annotated[tuple[TourStep, ...], msgspec.Meta(min_length=1, max_length=MAX_STEPS)]
+    """The tasks in order."""
     stops: int
+    """Number of stops [-]."""
     driving: float
     """Total driving length [m]."""
     assumed: tuple[str, ...] = ()

@@ -41,7 +41,9 @@ class Task:
     """
 
     verb: Verb
+    """What to do."""
     object: str
+    """The object that is moved, or has the joint."""
     joint: str | None = None
     """The joint that must move; None for pick and place."""
     to: float | None = None

@@ -28,6 +28,7 @@ class RobotBase(_Strict):
     ]
     """Outline of everything that does not move with the arm, seen from above: x, y [m]."""
     drive: Literal["differential", "omni", "car"]
+    """How it drives: turning in place (differential), sideways too (omni), or on curves (car)."""
     min_turning_radius: Positive | None = None
     """Least radius of a car-like base, which needs it [m]."""
     max_speed: Positive = 0.5
@@ -50,6 +51,7 @@ class RobotTool(_Strict):
     opening: Positive | None = None
     """Width between the pads when the finger joints are at zero [m]."""
     grips: Literal["fingers", "suction", "hook"] = "fingers"
+    """How the tool holds; a hook or suction has no closing fingers."""
     force: Positive | None = None
     """Force of each finger, or of the suction [N]."""
 
@@ -116,6 +118,7 @@ class _ArmMembers(_Strict):
     home: list[float] | None = None
     """Values of `arm_joints` while the base drives [rad] or [m]."""
     tool: RobotTool | None = None
+    """The gripper at the end of the arm."""
     reach: Positive | None = None
     """Length from the first turning joint, for lists [m]."""
     payload: Positive | None = None
@@ -130,11 +133,13 @@ class RobotFile(_ArmMembers, kw_only=True):
     """A mobile base with one arm, or with several in `arms`."""
 
     name: Name
+    """Name of the robot."""
     urdf: Name
     """Path of the URDF, relative to the robot file."""
     base_link: Name
     """Link on the floor, x forward, z up."""
     base: RobotBase
+    """The mobile base."""
     version: Literal[1] = 1
     """Version of the format."""
     srdf: str | None = None
@@ -146,6 +151,7 @@ class RobotFile(_ArmMembers, kw_only=True):
     frames: dict[str, RobotFrame] = {}
     """Added frames by name."""
     mount: RobotMount | None = None
+    """A base for an arm that has none in its URDF."""
     packages: dict[str, str] = {}
     """Folders of ROS packages that the URDF names."""
     coupled: dict[str, RobotCoupling] = {}

@@ -108,6 +108,7 @@ class SceneEntry(_Strict):
     name: Name
     """Unique in the scene."""
     pose: ScenePose
+    """Pose of the model's frame, or of the middle of the box."""
     category: str = ""
     """What it is, such as "fridge"."""
     urdf: Name | Unset = UNSET
@@ -125,19 +126,24 @@ class SceneEntry(_Strict):
     resistance: dict[str, JointResistance] = {}
     """What is known about seal, friction and weight, by joint."""
     latch: SceneLatch | None = None
+    """What holds one of its parts while that is closed."""
     hypotheses: dict[
         str, Annotated[list[SceneHypothesis], msgspec.Meta(min_length=1, max_length=16)]
     ] = {}
     """Ways in which parts may move, the most probable first, by joint."""
     confidence: SceneConfidence | None = None
+    """How sure the scan is that it was made from."""
 
 
 class SceneFile(_Strict):
     """A room."""
 
     format: Literal["momapos-scene"]
+    """Name of the format."""
     version: Literal[1]
+    """Version of the format."""
     objects: list[SceneEntry]
+    """Everything in the room but its walls."""
     name: Name | None = None
     """By default that of the file."""
     floor: Outline | None = None
@@ -147,6 +153,7 @@ class SceneFile(_Strict):
     map: str | None = None
     """Path of a Nav2 map (YAML), whose occupied cells become walls."""
     start: SceneStart | None = None
+    """Where the robot's base is before a task."""
     schema: str | Unset = msgspec.field(default=UNSET, name="$schema")
     """Address of the file's JSON Schema, for editors."""
     areas: dict[str, Outline] = {}
