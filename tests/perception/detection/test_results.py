@@ -40,6 +40,10 @@ def frames() -> list[Frame]:
         ('[{"bbox": [1, 2, 3]}]', "detection 0"),
         ('[{"image_id": 0, "bbox": [1, 2, 3, 4], "score": 1}]', "category_id"),
         ('[{"image_id": 0, "category_id": 1, "bbox": [1, 2, -3, 4], "score": 1}]', "not negative"),
+        (
+            '[{"image_id": 0, "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1.9}]',
+            r"from 0 to 1, not 1\.9",
+        ),
         ('[{"image_id": 0, "category_id": 1e999, "bbox": [1, 2, 3, 4], "score": 1}]', "infinity"),
         (
             f'[{{"image_id": 0, "category_id": 1, "bbox": [1, 2, 3, 1{"0" * 400}], "score": 1}}]',
@@ -132,7 +136,7 @@ def test_scores_of_a_frontal_classifier_belong_to_frames(tmp_path: Path, content
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ({"view a": 1.5}, r"score 0: must be from 0 to 1, not 1\.5"),
+        ({"view a": 1.5}, r"score of 'view a': must be from 0 to 1, not 1\.5"),
         ({"view a": float("nan")}, "must be from 0 to 1, not nan"),
         ([{"score": 0.5}], "needs image_id"),
         ({"other": 0.5}, "none of its images is one of the scan"),

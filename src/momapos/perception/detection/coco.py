@@ -391,8 +391,10 @@ def _entry(item: Any, where: str) -> _Entry:
         raise FileFormatError(
             f"{where}: needs image_id, category_id, bbox and score ({error})"
         ) from error
-    if not np.isfinite([left, top, width, height, score]).all() or min(width, height) < 0:
-        raise FileFormatError(f"{where}: bbox and score must be finite, and bbox not negative")
+    if not np.isfinite([left, top, width, height]).all() or min(width, height) < 0:
+        raise FileFormatError(f"{where}: bbox must be finite and not negative")
+    if not 0 <= score <= 1:
+        raise FileFormatError(f"{where}: score must be from 0 to 1, not {score:g}")
     box: tuple[float, float, float, float] | None = (left, top, left + width, top + height)
     if min(width, height) == 0:
         box = _box_of(item["segmentation"], where) if "segmentation" in item else None
@@ -444,10 +446,12 @@ def read_frontal(path: Path, frames: Sequence[Frame]) -> dict[str, float]:
         raise FileFormatError(f"{path}: must be an object of scores by image, or a list")
     scores: dict[str, float] = {}
     for index, (image, score) in enumerate(rows):
-        where = f"{path}: score {index}"
         if type(image) not in (str, int):
-            raise FileFormatError(f"{where}: needs image_id, a string or an integer, and score")
+            raise FileFormatError(
+                f"{path}: entry {index}: needs image_id, a string or an integer, and score"
+            )
         if isinstance(score, bool) or not isinstance(score, int | float) or not 0 <= score <= 1:
+            where = f"{path}: score of {image!r:.40}"
             raise FileFormatError(f"{where}: must be from 0 to 1, not {score!r:.40}")
         scores[str(image)] = float(score)
     names, _ = frame_names(set(scores), frames, {})
