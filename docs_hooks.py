@@ -1,4 +1,4 @@
-"""Add to the site what docs/ lacks: linked files, public names, members of files, a moving plan.
+"""Add to the site what docs/ lacks: linked files, public names, settings, file formats, a plan.
 
 A page names a file of the repository by its path, as editors and hosting sites follow it. Such a
 file becomes a page of its own, files/PATH.md; a link to what is not there stays as it is, and
@@ -54,7 +54,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001
-    """Lead links that leave docs/ to those pages; list public names and members of files."""
+    """Lead links that leave docs/ to those pages; list public names, settings, members of files."""
     uri = page.file.src_uri
     shown = uri.startswith("files/")
     path = uri.removeprefix("files/").removesuffix(".md") if shown else f"docs/{uri}"
@@ -68,6 +68,8 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
         markdown = NAMES.sub(_described, markdown)
     if uri == "reference.md":
         markdown += public_names()
+    if uri == "settings.md":
+        markdown += f"\n\n## All settings {{ data-search-exclude }}\n\n{settings()}"
     if uri == "formats.md":
         markdown += f"\n\n{field_list()}"
     if uri == "gallery.md":
@@ -148,3 +150,12 @@ def _described(names: re.Match[str]) -> str:
     short = {name: " ".join(doc.partition("\n\n")[0].split()) for name, doc in docs.items()}
     lines = [f"| [`{name}`](reference.md#momapos.{name}) | {doc} |" for name, doc in short.items()]
     return "\n".join(["| name | description |", "|---|---|", *lines])
+
+
+def settings() -> str:
+    """A table of all settings, as --help-all lists them."""
+    from momapos.apps.cli.configuration import DEFAULT
+    from momapos.planning import list_fields
+
+    lines = [f"| `{item.path}` | `{item.value}` | {item.text} |" for item in list_fields(DEFAULT)]
+    return "\n".join(["| setting | default | meaning |", "|---|---|---|", *lines])

@@ -14,7 +14,9 @@ import docs_hooks
 import pytest
 
 import momapos
+from momapos.apps.cli.configuration import DEFAULT
 from momapos.apps.cli.main import main
+from momapos.planning.settings import list_fields
 
 REPOSITORY = Path(__file__).parents[2]
 DOCS = REPOSITORY / "docs"
@@ -107,6 +109,13 @@ def test_the_site_documents_every_public_name() -> None:
     site = docs_hooks.on_page_markdown(text, page=page, config=nothing, files=nothing)
     rows = re.findall(r"^\| \[`(\w+)`\]\(\S+\) \| [A-Z].* \|$", site, re.MULTILINE)
     assert sorted(rows) == sorted(momapos.__all__)
+
+
+def test_the_site_describes_every_setting() -> None:
+    rows = re.findall(
+        r"^\| `([\w.]+)` \| `[^`]+` \| [^|]+ \|$", docs_hooks.settings(), re.MULTILINE
+    )
+    assert rows == [item.path for item in list_fields(DEFAULT)]
 
 
 @pytest.mark.parametrize(
