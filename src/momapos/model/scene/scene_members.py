@@ -71,11 +71,11 @@ class SceneLatch(_Strict):
     to: float | str
     """Value from which on the part is free [rad] or [m], or a text with a unit such as "40deg"."""
     holds: str | None = None
-    """Joint that it holds; needed only if several move the latch."""
+    """Joint that it holds while closed within 0.01 rad or m; needed if several move the latch."""
 
 
 class SceneHypothesis(_Strict):
-    """One way in which a part may move."""
+    """One motion that a part may have."""
 
     kind: PartKind
     """Kind of the part, such as "door_left" (its hinge is at the left) or "drawer"."""
@@ -114,11 +114,11 @@ class SceneEntry(_Strict):
     urdf: Name | Unset = UNSET
     """Path of its model, relative to the scene file and inside of its folder."""
     scale: Annotated[float, msgspec.Meta(ge=1e-3, le=1e3)] = 1.0
-    """Factor on all lengths of the model [-]."""
+    """Factor on all lengths of the model, limits of sliding joints included, not on masses [-]."""
     box: tuple[Edge, Edge, Edge] | Unset = UNSET
     """Edge lengths of a rigid box about its frame [m]."""
     joints: dict[str, float] = {}
-    """Joint values [rad] or [m]; others are zero, or at the nearest limit."""
+    """Joint values within the limits [rad] or [m]; others are zero, or at the nearest limit."""
     closed: dict[str, float] = {}
     """Values at which joints are closed [rad] or [m]; others are found from the geometry."""
     mass: Annotated[float, msgspec.Meta(gt=0, le=1e5)] | Unset = UNSET
@@ -130,7 +130,7 @@ class SceneEntry(_Strict):
     hypotheses: dict[
         str, Annotated[list[SceneHypothesis], msgspec.Meta(min_length=1, max_length=16)]
     ] = {}
-    """Ways in which parts may move, the most probable first, by joint."""
+    """Motions that parts may have, the most probable first, which is that of the URDF, by joint."""
     confidence: SceneConfidence | None = None
     """How sure the scan is that it was made from."""
 
@@ -157,4 +157,4 @@ class SceneFile(_Strict):
     schema: str | Unset = msgspec.field(default=UNSET, name="$schema")
     """Address of the file's JSON Schema, for editors."""
     areas: dict[str, Outline] = {}
-    """Named areas for restrictions of the base pose, by name."""
+    """Simple polygons for --keep-in and --keep-out, by name."""
