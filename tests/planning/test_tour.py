@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import signal
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 from tests.rooms import Everywhere, corridor_room
@@ -129,22 +131,41 @@ def test_a_task_without_an_answer_ends_the_tour_with_its_reasons(
     assert tour.steps[-1].plan.candidates.rejections
 
 
-def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def _late() -> NoReturn:
+    raise OutOfTimeError("late")
+
+
+def _interrupted() -> None:
+    """Interrupt once: the second interrupt would end the command."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize(("end", "status"), [(_late, 4), (_interrupted, 130)])
+def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over_or_it_is_interrupted(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    end: Callable[[], None],
+    status: int,
 ) -> None:
     def late(query: PlacementQuery) -> PlacementResult:
         if query.task.object == "cup":
-            raise OutOfTimeError("late")
+            end()
         return plan_placement(query)
 
     monkeypatch.setattr("momapos.planning.tour.plan_placement", late)
     file = tmp_path / "tour.json"
-    words = [*WORDS[:4], "then", "pick", "cup", "then", "close", "/".join(DRAWER), *WORDS[-2:]]
-    assert main([*words, "--out", str(file)]) == 4
-    assert "2 further tasks have no answer yet" in capsys.readouterr().out
+    tasks = [*WORDS[:4], "then", "pick", "cup", "then", "close", "/".join(DRAWER), *WORDS[-2:]]
+    handler = signal.getsignal(signal.SIGINT)
+    assert main([*tasks, "--out", str(file)]) == status
+    words = capsys.readouterr().out
+    assert "1 tasks from 1 base pose: timeout" in words
+    assert status == 130 or "2 further tasks have no answer yet" in words
+    assert signal.getsignal(signal.SIGINT) is handler
     tour = read_tour(file)
     assert tour.status == "timeout"
-    assert [step.plan for step in tour.steps] == ["tour_1.json"]
+    assert [step.plan for step in tour.steps][:1] == ["tour_1.json"]
     assert main(["verify", str(tmp_path / "tour_1.json")]) == 0
     assert main(["verify", str(file)]) == 1
 

@@ -61,6 +61,7 @@ from .saved_arrays import load_array as load_array
 from .stopwatch import GRACE_PERIOD as GRACE_PERIOD
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch
+from .stopwatch import end_limits as end_limits
 from .stopwatch import look as look
 from .stopwatch import processor_time as processor_time
 from .stopwatch import time_left as time_left

@@ -23,6 +23,7 @@ from momapos.core import (
     InputError,
     MomaposError,
     OutOfTimeError,
+    end_limits,
     look,
     processor_time,
     time_left,
@@ -135,6 +136,40 @@ def _looking_imports() -> Iterator[None]:
 def _end_looking() -> None:
     with suppress(ValueError):
         sys.meta_path.remove(_IMPORTS)
+
+
+@contextmanager
+def ended_by_interrupt() -> Iterator[threading.Event]:
+    """End the time limits that hold in a block at the first Ctrl-C, so that it keeps what it knows.
+
+    The second one interrupts it as usual. Only the main thread takes interrupts.
+
+    Yields:
+        Whether there was one.
+
+    Raises:
+        KeyboardInterrupt: The block knew nothing by then.
+    """
+    interrupted = threading.Event()
+    if not _interruptible():
+        yield interrupted
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def stop(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        interrupted.set()
+        end_limits()
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield interrupted
+    except OutOfTimeError:
+        if interrupted.is_set():
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def with_time_left(config: Any, later: float = 0.0) -> Any:

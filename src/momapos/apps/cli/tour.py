@@ -12,7 +12,7 @@ from momapos.model.records import Verb
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
-from .bounds import with_time_left, within_time
+from .bounds import ended_by_interrupt, with_time_left, within_time
 from .loading import load_arms_with_maps
 from .options import EXIT_STATUS, SceneArg, Target, ValueArg, exit_status
 from .parse import parse
@@ -148,13 +148,15 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
             *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
         ]
     try:
-        with within_time(config.timeout):
+        with within_time(config.timeout), ended_by_interrupt() as interrupted:
             scene = read_scene(scene_name, [request.object for request in requests], options, outs)
             tour = _plan(scene, requests, options, config, start)
     except OutOfTimeError as late:
         say(json.dumps({"status": "timeout", "detail": str(late)}) if options.json else late)
         return EXIT_STATUS["timeout"]
     _deliver(tour, options)
+    if interrupted.is_set():
+        raise KeyboardInterrupt
     return exit_status(tour.status, allow_assumed=options.allow_assumed)
 
 
