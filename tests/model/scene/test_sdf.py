@@ -273,3 +273,12 @@ def test_springs_of_joints_are_counted_as_dropped(tmp_path: Path) -> None:
     text = ROOM.replace("<friction>1</friction>", "<spring_stiffness>9</spring_stiffness>")
     report = read_room(write(tmp_path, text), tmp_path).final_report()
     assert report.dropped["springs of joints"] == 1
+
+
+def test_what_is_drawn_far_out_of_the_collision_shapes_collides(tmp_path: Path) -> None:
+    """The cabinet has a drawn mesh of 30 cm on its top, whose ends leave its sides."""
+    wing = "<visual name='w'><pose>0.1 0.2 0.4 0 0 0</pose><geometry><mesh><uri>cup/cup.obj</uri>"
+    wing += "</mesh></geometry></visual>"
+    found = read(tmp_path, ROOM.replace('<link name="body">', f'<link name="body">{wing}'))
+    assert found.object("cabinet").bounds[1, 2] == pytest.approx(0.9, abs=1e-6)
+    assert any("of what is drawn; the drawn shapes are used, too" in w for w in found.warnings)

@@ -137,7 +137,7 @@ def test_referenced_layers_are_included(tmp_path: Path) -> None:
 def test_dropped_elements_are_counted(tmp_path: Path) -> None:
     report = read_room(write(tmp_path), tmp_path).final_report()
     assert report.kept["objects"] == 2
-    assert report.dropped["visual shapes"] == 1
+    assert report.kept["visual shapes"] == 1
     assert report.dropped["planes"] == 1
 
 
@@ -232,3 +232,13 @@ def test_links_have_the_mass_of_the_stage_at_its_center(tmp_path: Path) -> None:
     assert link.mass == pytest.approx(2.5)
     assert_allclose(link.center, (0, 0.1, 0), atol=1e-9)
     assert item.model.urdf.links["door"].mass == 0.0
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_what_is_drawn_far_out_of_the_colliders_collides(tmp_path: Path, shown: bool) -> None:
+    sphere = "double radius = 3"
+    words = sphere.replace("3", "55") + (
+        "" if shown else '\n        uniform token purpose = "guide"'
+    )
+    top = read(tmp_path, STAGE.replace(sphere, words)).object("cabinet").bounds[1, 2]
+    assert top == pytest.approx(0.95 if shown else 0.8, abs=0.02)

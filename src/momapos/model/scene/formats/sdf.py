@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from momapos.core import FileFormatError, is_name, read_xml, resolved
+from momapos.core import FileFormatError, UrdfError, is_name, read_xml, resolved
 from momapos.core.geometry import invert, pose, pose_rpy, rotation_of
 from momapos.model.urdf import (
     Geometry,
@@ -395,6 +396,9 @@ class Model:
             return self._plane(shape, T, T_world_origin[2, :3], name, where, solid=solid)
         if shape.tag == "mesh" and solid:
             return [self._mesh(shape, T, name, where)]
+        if shape.tag == "mesh" and shape.find("submesh") is None:
+            with suppress(FileFormatError, UrdfError):  # it is lost, or damaged
+                return [self._mesh(shape, T, name, where)]
         self.report.dropped["visual meshes" if shape.tag == "mesh" else f"{shape.tag} shapes"] += 1
         return []
 

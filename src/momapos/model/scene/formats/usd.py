@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -249,6 +250,8 @@ class _StagePrims:
     bodies: list[Any] = field(default_factory=list)
     colliders: list[Any] = field(default_factory=list)
     joints: list[Any] = field(default_factory=list)
+    drawn: list[Any] = field(default_factory=list)
+    """Shapes without collisions."""
 
 
 class _UsdReader:
@@ -289,7 +292,7 @@ class _UsdReader:
             if self._collides(prim):
                 found.colliders.append(prim)
             elif prim.GetTypeName() in self.shapes.kinds:
-                self.report.dropped["visual shapes"] += 1
+                found.drawn.append(prim)
         names = Names()
         objects = []
         for top in self._tops(found):
@@ -383,18 +386,26 @@ class _UsdReader:
             records.append(joint)
             if joint.movable and value != min(max(0.0, joint.lower), joint.upper):
                 values[wanted] = value
-        shapes: dict[str, list[Any]] = {link: [] for link in (base, *links.values())}
-        for prim in colliders:
+        frames = {base: T_world, **{link: origins[path] for path, link in links.items()}}
+
+        def link_of(prim: Any) -> str:
             owner = self._rigid_above(prim)
-            known = owner is not None and owner.GetPath() in links
-            T_link = origins[owner.GetPath()] if known else T_world
-            made = self.shapes.shapes(prim, self._matrix(prim), T_link)
-            shapes[links[owner.GetPath()] if known else base] += made
+            return base if owner is None else links.get(owner.GetPath(), base)
+
+        shapes: dict[str, list[Any]] = {link: [] for link in frames}
+        for prim in colliders:
+            link = link_of(prim)
+            shapes[link] += self.shapes.shapes(prim, self._matrix(prim), frames[link])
         if not any(shapes.values()):
             return None
+        drawn: dict[str, list[Any]] = {link: [] for link in frames}
+        for prim in (prim for prim in found.drawn if _within(prim, top) and _is_seen(prim)):
+            link = link_of(prim)
+            with suppress(FileFormatError):  # it is damaged
+                drawn[link] += self.shapes.shapes(prim, self._matrix(prim), frames[link])
         weights = {link: self._inertia(bodies[p], origins[p]) for p, link in links.items()}
         tree = {
-            link: Link(link, tuple(made), (), *weights.get(link, ()))
+            link: Link(link, tuple(made), tuple(drawn[link]), *weights.get(link, ()))
             for link, made in shapes.items()
         }
         return RoomObject(name, T_world, Urdf(name, None, base, tree, tuple(records)), values)
@@ -505,6 +516,17 @@ class _UsdReader:
 def _fixed(name: str, parent: str, link: str, T: Float[np.ndarray, "4 4"]) -> Joint:
     none = np.array([1.0, 0.0, 0.0])
     return Joint(name, "fixed", parent, link, T, none, 0.0, 0.0, math.inf)
+
+
+def _is_seen(prim: Any) -> bool:
+    """Return whether a renderer shows a prim."""
+    from pxr import UsdGeom
+
+    shown, tokens = UsdGeom.Imageable(prim), UsdGeom.Tokens
+    return shown.ComputeVisibility() != tokens.invisible and shown.ComputePurpose() in (
+        tokens.default_,
+        tokens.render,
+    )
 
 
 def _within(prim: Any, top: Any) -> bool:
