@@ -125,6 +125,13 @@ def test_the_note_names_the_shape_that_is_farthest_outside_and_where() -> None:
     assert note_of(scene, both, Ts) is None
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_note_is_of_the_state_in_which_a_shape_is_farthest_outside(side: float) -> None:
+    Ts = np.array([pose((x, 0.0, 0.5)) for x in (side * 1.99, side * -1.95)])[:, None]
+    found = note_of(Scene("room", (), floor_polygon=FLOOR), shapes("box"), Ts)
+    assert found == ("box", 9.0, pytest.approx(side * 2.09, abs=0.01), pytest.approx(0.0, abs=0.21))
+
+
 def test_what_is_above_an_object_or_behind_walls_is_not_noted() -> None:
     scene = Scene("room", (), floor_polygon=FLOOR)
     box = shapes("box")

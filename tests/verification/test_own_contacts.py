@@ -106,6 +106,15 @@ def test_a_panel_does_not_close_into_a_neighbor_that_was_opened(tmp_path: Path) 
     assert words.startswith("target/a hits target/b")
 
 
+@pytest.mark.parametrize(("moved", "counts"), [(0.0007, False), (0.0013, True)])
+def test_a_neighbor_is_displaced_from_one_millimeter_on(
+    moved: float, counts: bool, tmp_path: Path
+) -> None:
+    scene = sliding(tmp_path, 0.0, offset=0.0205, b_joint=moved)
+    _, _, own = split(scene, Task("open", "target", "a_joint", 0.5))
+    assert own.displaced.any() == counts
+
+
 def test_a_displaced_neighbor_stops_a_part_that_closes(tmp_path: Path) -> None:
     """A tray that was pulled out stands where the door's closed panel is."""
     text = f'<link name="body">{shapes(CARCASS)}</link>'
