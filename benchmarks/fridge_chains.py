@@ -30,7 +30,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach
-from momapos.planning.tour import Request, Tour, plan_stops
+from momapos.planning.tour import Request, Tour, plan_requests
 from placement import machine
 from tours import valid
 
@@ -63,7 +63,7 @@ def main() -> None:
         if not _has_plan_without_part(query, task):
             print(f"{task.name}: no plan without the door", flush=True)
             continue
-        usual = plan_stops(replace(query, watch=Stopwatch(time.process_time)), requests)
+        usual = plan_requests(replace(query, watch=Stopwatch(time.process_time)), requests)
         began, chosen = time.process_time(), usual
         if not _done(usual, requests, scene):
             chosen = plan_chain(replace(query, watch=Stopwatch(time.process_time)), requests)

@@ -113,3 +113,12 @@ def test_no_imports_are_circular() -> None:
         for module in ends:
             del graph[module]
     assert sorted(graph) == [], "each of these is in a cycle, or imports a module that is"
+
+
+def test_a_class_name_has_one_meaning() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in MODULES.items():
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module)
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}

@@ -20,7 +20,7 @@ from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
-from momapos.planning.tour import Request, Tour, plan_stops
+from momapos.planning.tour import Request, Tour, plan_requests
 
 CONFIG = PipelineConfig(place=PlaceConfig(grid=False), timeout=300.0)
 DRAWER = ("cabinet_right", "drawer_middle_slide")
@@ -41,7 +41,7 @@ def refuse_beyond(limit: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the last task fail if the drawer is open wider, as if it were in the way."""
 
     def stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
-        tour = plan_stops(query, requests)
+        tour = plan_requests(query, requests)
         to = tour.steps[0].plan.task.to
         if to is None or to <= limit + 1e-9:
             return tour
@@ -52,7 +52,7 @@ def refuse_beyond(limit: float, monkeypatch: pytest.MonkeyPatch) -> None:
         bare = not any(item.model.hulls[link] for link in item.model.moved_by(DRAWER[1]))
         return found if bare or item.values()[DRAWER[1]] <= limit + 1e-9 else infeasible(found)
 
-    monkeypatch.setattr(chains, "plan_stops", stops)
+    monkeypatch.setattr(chains, "plan_requests", stops)
     monkeypatch.setattr(chains, "plan_placement", placement)
 
 
@@ -97,9 +97,9 @@ def test_no_other_value_is_tried_for_what_is_out_of_reach_without_the_part(
 
     def counted(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         tours.append(requests)
-        return plan_stops(query, requests)
+        return plan_requests(query, requests)
 
-    monkeypatch.setattr(chains, "plan_stops", counted)
+    monkeypatch.setattr(chains, "plan_requests", counted)
     room = cabinet_room(tmp_path, extra=MUG.format(x=-1.5, z=3.0))
     tour = chain(room, segway, [Request("open", "cabinet"), Request("pick", "mug")])
     assert tour.status == "infeasible"

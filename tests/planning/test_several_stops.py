@@ -19,7 +19,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
-from momapos.planning.several_stops import MAX_STOPS, STRETCHES, plan_stops
+from momapos.planning.several_stops import MAX_STOPS, STRETCHES, plan_in_stretches
 from momapos.verification.plan_check import verify_files
 
 LONGEST = 0.26
@@ -116,7 +116,7 @@ def test_the_base_drives_only_while_the_hand_is_free_and_the_part_rests(
 def test_a_part_that_needs_more_than_three_stops_has_no_answer() -> None:
     asked: list[tuple[float, float]] = []
     query, answer = question(), limited(0.06, asked)
-    found = plan_stops(query, answer(query), answer)  # type: ignore[operator, arg-type]
+    found = plan_in_stretches(query, answer(query), answer)  # type: ignore[operator, arg-type]
     assert found.answer is None
     assert len({now for now, _ in asked}) == MAX_STOPS
 

@@ -256,7 +256,7 @@ class _Profile:
 
 
 @dataclass(frozen=True, eq=False)
-class BasePath:
+class BaseMotion:
     """Base poses at the states of an arm path, and the limits of the base."""
 
     poses: Float[np.ndarray, "m 3"]
@@ -267,7 +267,7 @@ class BasePath:
     """Acceleration limits of x, y and yaw."""
 
 
-def limited_base_path(robot: Robot, poses: Float[np.ndarray, "m 3"], share: float) -> BasePath:
+def limited_base_path(robot: Robot, poses: Float[np.ndarray, "m 3"], share: float) -> BaseMotion:
     """Return a base path with the limits of a robot.
 
     Args:
@@ -276,7 +276,7 @@ def limited_base_path(robot: Robot, poses: Float[np.ndarray, "m 3"], share: floa
         share: Share of the base's speed limits used [-].
     """
     apart = robot.max_acceleration / np.sqrt(2.0)  # in x and in y, so that both together keep it
-    return BasePath(
+    return BaseMotion(
         poses,
         share * np.array([robot.max_speed, robot.max_speed, robot.max_yaw_rate]),
         np.array([apart, apart, robot.max_yaw_acceleration]),
@@ -654,7 +654,7 @@ def time_path(
     tool: Float[np.ndarray, "m 3"] | None = None,
     tool_speed: float = np.inf,
     tool_acceleration: float = np.inf,
-    base: BasePath | None = None,
+    base: BaseMotion | None = None,
 ) -> Trajectory:
     """Follow a path with continuous acceleration, nearly as fast as the limits allow.
 

@@ -11,7 +11,7 @@ from .moving_base import search_moving
 from .query import PlacementQuery
 from .result import PlacementResult
 from .search_setup import prepare_search
-from .several_stops import MAX_STOPS, plan_stops
+from .several_stops import MAX_STOPS, plan_in_stretches
 from .time_limit import with_note
 
 
@@ -30,7 +30,7 @@ def with_other_use(
         return fixed
     words = "no single base pose serves this task"
     if use in ("stops", "auto"):
-        found = plan_stops(query, fixed, answer)
+        found = plan_in_stretches(query, fixed, answer)
         if found.answer is not None:
             # Where the hand lets go is a fact of the plan. How far fewer stops could move the part
             # is another question, whose answer may be farther.

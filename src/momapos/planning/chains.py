@@ -25,7 +25,7 @@ from .max_opening_plan import MIN_TIMEOUT
 from .plan import plan_placement
 from .query import PlacementQuery
 from .time_limit import with_note
-from .tour import Request, Tour, plan_stops, scenes_of
+from .tour import Request, Tour, plan_requests, scenes_of
 
 VALUES = 8
 """Number of values between closed and wide open that are tried, 11 to 23 degrees apart [-]."""
@@ -48,12 +48,12 @@ _CUT_OFF = (
 def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     """Return where the robot must stand to do several tasks, and how far it opens parts.
 
-    The tour is that of `plan_stops` if it is complete. Else openings before the failed task to
+    The tour is that of `plan_requests` if it is complete. Else openings before the failed task to
     which the user gave no value get another, the nearest to the default with which the failed task
     has a plan. The tour with the most solved tasks is returned; notes name the changed values.
 
     Args:
-        query: The question of the first task, see `plan_stops`.
+        query: The question of the first task, see `plan_requests`.
         requests: All tasks.
 
     Raises:
@@ -63,7 +63,7 @@ def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         OutOfTimeError: The time was over before the first task had an answer.
     """
     with query.in_time():
-        best = plan_stops(query, requests)
+        best = plan_requests(query, requests)
     began = query.watch.clock() - best.seconds
     chain = _Chain(query, tuple(requests), began)
     if len(requests) > 1 and _fails(best, requests):
@@ -119,7 +119,7 @@ class _Chain:
     def plan(self, other: _Other) -> Tour:
         """Plan the tour with another value, which a note names."""
         k, config = other.opening, replace(self.query.config, timeout=self.left)
-        tour = plan_stops(replace(self.query, config=config), self.with_value(other))
+        tour = plan_requests(replace(self.query, config=config), self.with_value(other))
         if k >= len(tour.steps) or not tour.steps[k].plan.feasible:
             return tour
         steps, later = list(tour.steps), self.requests[k + 1]

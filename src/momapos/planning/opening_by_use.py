@@ -16,7 +16,7 @@ from .max_opening import last_that_works
 from .max_opening_plan import MIN_TIMEOUT, answer_on_watch, by_samples
 from .query import PlacementQuery
 from .result import PlacementResult
-from .several_stops import MAX_STOPS, STRETCHES, plan_stops
+from .several_stops import MAX_STOPS, STRETCHES, plan_in_stretches
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -72,7 +72,7 @@ def reached_by_use(
     ask = _Questions(query, answer, {STRETCHES - 1: infeasible})
     every = [ask.farthest("from one base pose", ask.from_one_pose, ask.estimate(answer))]
     if use in ("stops", "auto"):
-        known = plan_stops(query, infeasible, answer, how_far=True).stretches
+        known = plan_in_stretches(query, infeasible, answer, how_far=True).stretches
         guess = ask.index_of(known[-1]) if known else -1
         name = f"from up to {MAX_STOPS} stops"
         every.append(ask.farthest(name, ask.from_stops, max(guess, ask.index_of(every[0].best))))
@@ -155,7 +155,7 @@ class _Questions:
         one = self.from_one_pose(index)
         if one.plan.status != "infeasible":
             return one
-        found = plan_stops(self._to(index), one, self.answer)
+        found = plan_in_stretches(self._to(index), one, self.answer)
         refused = found.refused or one
         return found.answer or replace(
             refused, plan=replace(refused.plan, task=one.plan.task, feasible_to=None)

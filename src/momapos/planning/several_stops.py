@@ -44,7 +44,7 @@ class Stops:
     """The answer for a farther stretch that has no plan; None if none was asked."""
 
 
-def plan_stops(
+def plan_in_stretches(
     query: PlacementQuery, infeasible: PlacementResult, answer: Answer, *, how_far: bool = False
 ) -> Stops:
     """Plan the fewest stops that move a part to the task's value, at most `MAX_STOPS`.

@@ -82,7 +82,7 @@ class Tour:
         return sum(step.plan.navigation_cost or 0.0 for step in self.steps)
 
 
-def plan_stops(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
+def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     """Return where the robot must stand to do several tasks one after the other.
 
     Each task begins in the scene as the one before has left it, with the arm at home: after each

@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from momapos.apps.web.page import Page
-from momapos.apps.web.serve import LOG, MAX_BYTES, Gate, Server, accepts, quiet, small_png
+from momapos.apps.web.serve import LOG, MAX_BYTES, MessageGate, Server, accepts, quiet, small_png
 
 LONG = 60.0
 SPOKEN = Subprotocol(f"viser-v{viser.__version__}")
@@ -37,8 +37,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, str]]
 
 
 @pytest.fixture(scope="module")
-def gate(site: tuple[Page, str]) -> Gate:
-    gate = Gate()
+def gate(site: tuple[Page, str]) -> MessageGate:
+    gate = MessageGate()
     gate.server = site[0].server
     return gate
 
@@ -57,7 +57,7 @@ def drag(*position: float, wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> by
 
 
 def test_a_control_takes_what_its_user_could_choose_and_nothing_else(
-    site: tuple[Page, str], gate: Gate
+    site: tuple[Page, str], gate: MessageGate
 ) -> None:
     panel = site[0].panel
     right = [(panel.verb, "close"), (panel.slider, 45), (panel.slider, 45.5), (panel.seed, 7),
@@ -96,13 +96,13 @@ def test_a_kind_of_control_that_the_page_does_not_have_takes_nothing() -> None:
         b"x" * (MAX_BYTES + 1),
     ],
 )  # fmt: skip
-def test_other_messages_are_refused(gate: Gate, raw: object) -> None:
+def test_other_messages_are_refused(gate: MessageGate, raw: object) -> None:
     refused = gate.refused
     assert not gate.admits(raw)
     assert gate.refused == refused + 1
 
 
-def test_a_base_is_dragged_on_the_floor_only(site: tuple[Page, str], gate: Gate) -> None:
+def test_a_base_is_dragged_on_the_floor_only(site: tuple[Page, str], gate: MessageGate) -> None:
     page = site[0]
     before = np.array(page.robot._frame.position)
     turned = (math.cos(0.5), 0.0, 0.0, math.sin(0.5))
@@ -115,7 +115,7 @@ def test_a_base_is_dragged_on_the_floor_only(site: tuple[Page, str], gate: Gate)
 
 
 def test_a_click_of_a_candidate_that_does_not_exist_is_ignored(
-    site: tuple[Page, str], gate: Gate
+    site: tuple[Page, str], gate: MessageGate
 ) -> None:
     page = site[0]
     name = next(n for n in page.server.scene._handle_from_node_name if n.startswith("/room/o"))
@@ -129,7 +129,7 @@ def test_a_click_of_a_candidate_that_does_not_exist_is_ignored(
         assert gate.admits(raw) is right
 
 
-def test_an_image_is_a_png_of_bounded_size(gate: Gate) -> None:
+def test_an_image_is_a_png_of_bounded_size(gate: MessageGate) -> None:
     def head(width: int, height: int) -> bytes:
         sides = width.to_bytes(4, "big") + height.to_bytes(4, "big")
         return b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + sides
@@ -143,7 +143,7 @@ def test_an_image_is_a_png_of_bounded_size(gate: Gate) -> None:
 
 
 def test_twenty_digits_in_a_number_field_change_nothing_and_are_corrected(
-    site: tuple[Page, str], gate: Gate, monkeypatch: pytest.MonkeyPatch
+    site: tuple[Page, str], gate: MessageGate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page, sent = site[0], []
     queue = page.server.gui._websock_interface.queue_message

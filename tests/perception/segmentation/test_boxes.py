@@ -16,9 +16,9 @@ from momapos.perception.segmentation.instance_boxes import (
     named,
     wall_detections,
 )
-from momapos.perception.segmentation.room_shell import RoomShell, Wall
+from momapos.perception.segmentation.room_shell import RoomShell, RoomWall
 
-BACK_WALL = RoomShell((Wall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
+BACK_WALL = RoomShell((RoomWall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))
 NO_WALLS = RoomShell()
 CRATE: Corners = ((0.2, -0.4, 0.0), (0.8, 0.2, 0.9))
 
@@ -161,7 +161,7 @@ def test_a_microwave_seen_from_the_front_extends_back_but_not_through_a_wall(
         Instance("crate", 1.0, np.arange(len(crate.points))),
         Instance("microwave", 1.0, members),
     ]
-    room = RoomShell((Wall(1, -1.0, gap, -2.0, 2.0, 2.4),))
+    room = RoomShell((RoomWall(1, -1.0, gap, -2.0, 2.0, 2.4),))
     box = next(d.box for d in boxes(cloud, instances, room) if d.label == "microwave")
     assert box.size[1] == pytest.approx(depth, abs=0.02)
     assert box.center[1] - box.size[1] / 2 == pytest.approx(0.0, abs=0.01)

@@ -12,7 +12,13 @@ from momapos.core.errors import InputError
 from momapos.model.records.scans import Cloud, Detection, Instance
 from momapos.perception.segmentation.front_planes import find_front_planes
 from momapos.perception.segmentation.instance_boxes import boxes
-from momapos.perception.segmentation.room_shell import RoomShell, Wall, at_wall, find_room, in_room
+from momapos.perception.segmentation.room_shell import (
+    RoomShell,
+    RoomWall,
+    at_wall,
+    find_room,
+    in_room,
+)
 from momapos.perception.segmentation.segmenter import ClassicalSegmenter
 
 
@@ -213,7 +219,7 @@ def test_unusable_clouds_are_refused(cloud: Cloud) -> None:
 
 
 def test_a_side_stands_against_a_near_wall_that_it_faces() -> None:
-    room = RoomShell((Wall(0, -1.0, 2.0, -1.0, 1.0, 2.5),))  # the room is before x = 2
+    room = RoomShell((RoomWall(0, -1.0, 2.0, -1.0, 1.0, 2.5),))  # the room is before x = 2
     toward = np.array([1.0, 0.0, 0.0])
     assert at_wall(room, np.array([1.95, 0.0, 0.5]), toward)
     assert not at_wall(room, np.array([1.95, 0.0, 0.5]), -toward)

@@ -14,7 +14,7 @@ from tests.rooms import cabinet_room
 from momapos.model.robots.robot import Robot
 from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.grasp_families import CLEAR, push_from_behind
-from momapos.planning.grasps.hand_boxes import Hand, hand_of
+from momapos.planning.grasps.hand_boxes import HandBoxes, hand_of
 from momapos.planning.grasps.handles import PUSH_INSET
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -25,7 +25,7 @@ EDGES = (FROM[:, None] + np.linspace(0.0, 1.0, 101)[:, None] * (TO - FROM)[:, No
 """Points on the edges of a cube; a plane cuts the extreme points of a box from its edges."""
 
 
-def inside(hand: Hand) -> np.ndarray:
+def inside(hand: HandBoxes) -> np.ndarray:
     """Return points on the edges of the fingers' boxes in the tool frame."""
     rows = np.flatnonzero(hand.side)
     boxes = hand.boxes

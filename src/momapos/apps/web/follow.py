@@ -13,7 +13,7 @@ from momapos.core import Clock
 
 from .motion_view import MotionView
 from .playback import DetailControl, values_at_end
-from .probe import Finding, Probe
+from .probe import Probe, ProbedPose
 from .robot_view import home_values, joint_values
 from .state import PageState
 from .words import finding_card, verdict_of
@@ -69,7 +69,7 @@ class DragFollower:
             )  # fmt: skip
         return shown.probe
 
-    def _show(self, finding: Finding, probe: Probe, seconds: float) -> None:
+    def _show(self, finding: ProbedPose, probe: Probe, seconds: float) -> None:
         state, robot, motion = self._state, probe.robot, finding.motion
         with state.drawing, state.server.atomic():
             if state.shown.probe is not probe:  # the question has changed

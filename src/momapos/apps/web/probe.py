@@ -35,7 +35,7 @@ DEFAULT = PipelineConfig()
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class ProbedPose:
     """Result of the check of a base pose."""
 
     base: Float[np.ndarray, "3"]
@@ -89,7 +89,7 @@ class Probe:
 
     def at(
         self, base: Float[np.ndarray, "3"], clock: Clock, *, within: float = math.inf
-    ) -> Finding:
+    ) -> ProbedPose:
         """Check one base pose.
 
         Args:
@@ -101,7 +101,7 @@ class Probe:
             TaskError: The gripper cannot hold the object.
         """
         base, values = np.asarray(base, float), self.values
-        found = Finding(base, PoseOutcome(PoseStatus.NOT_TRIED), (), None, None, complete=True)
+        found = ProbedPose(base, PoseOutcome(PoseStatus.NOT_TRIED), (), None, None, complete=True)
 
         def check(index: int) -> Attempt | None:
             nonlocal found

@@ -247,7 +247,7 @@ IMAGE = Image.__struct_config__.tag
 """Tag of the only large message."""
 
 
-class Gate:
+class MessageGate:
     """Decides which messages reach the page."""
 
     def __init__(self) -> None:
@@ -435,7 +435,7 @@ def open_server(host: str, port: int) -> Server:
         MissingExtraError: The installed viser cannot be guarded.
     """
     check_free(host, port)
-    gate = Gate()
+    gate = MessageGate()
     server = None
     try:
         with quiet(), own_pages_only(host, gate.admits):

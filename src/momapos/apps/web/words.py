@@ -19,7 +19,7 @@ from momapos.workflows.scene_check import (
 )
 
 from .card import Card, Tone
-from .probe import Finding, Probe
+from .probe import Probe, ProbedPose
 
 MAX_FINDINGS = 2
 """Findings on a scene that are listed, per kind [-]."""
@@ -183,7 +183,7 @@ def tour_card(plans: Sequence[PlacementPlan]) -> Card:
     return Card("Solved", "good", title, tuple(facts), notes)
 
 
-def finding_card(finding: Finding, probe: Probe, seconds: float) -> Card:
+def finding_card(finding: ProbedPose, probe: Probe, seconds: float) -> Card:
     """Describe what the check of a dragged base found."""
     x, y, yaw = finding.base.tolist()
     facts = [("base pose", pose_text((x, y, yaw)))]
@@ -197,7 +197,7 @@ def finding_card(finding: Finding, probe: Probe, seconds: float) -> Card:
     return Card(verdict_text(finding, probe), tone, "", tuple(facts), tuple(notes))
 
 
-def verdict_text(finding: Finding, probe: Probe) -> str:
+def verdict_text(finding: ProbedPose, probe: Probe) -> str:
     """Summarize a finding in a few words."""
     if finding.feasible:
         return "Feasible from here"
@@ -207,7 +207,7 @@ def verdict_text(finding: Finding, probe: Probe) -> str:
     return f"Feasible from here only to {value}"
 
 
-def verdict_of(finding: Finding) -> str:
+def verdict_of(finding: ProbedPose) -> str:
     """Return the verdict that colors the footprint."""
     if finding.feasible:
         return "feasible"

@@ -2,7 +2,7 @@
 
 It prints JSON: the URDF or the reason why there is none, the tags without a prefix, and the
 switches that are off. No file runs code in it: a small grammar evaluates what the library gives
-to `eval`, and `Gate` refuses files outside the folders of the robot, and everything but reading.
+to `eval`, and `FileGate` refuses files outside the robot's folders, and everything but reading.
 
 The expressions are Python's, and xacro gives them to `eval`. Whoever reads a file then runs its
 code: a list of forbidden names does not help, since every object leads to all classes of Python.
@@ -459,14 +459,14 @@ ARGUMENT = "--xacro-arg "
 _OFF = ("", "0", "false", "none")
 """Defaults of switches that leave something out."""
 _FORBIDDEN = ("ctypes", "exec", "os", "pty", "shutil", "socket", "subprocess")
-"""First words of the events that `Gate` refuses: calls that do more than compute."""
+"""First words of the events that `FileGate` refuses: calls that do more than compute."""
 
 
 class Refused(Exception):
     """A file asks for what no file needs."""
 
 
-class Gate:
+class FileGate:
     """Lets the process read files of some folders, and nothing else.
 
     The grammar of expressions leaves no path to other calls; the gate holds if it has a hole.
@@ -585,7 +585,7 @@ class Files:
         return self._call(node, macros, symbols)
 
 
-def confine(library: Any, substitution_args: Any, packages: Any, gate: Gate) -> None:
+def confine(library: Any, substitution_args: Any, packages: Any, gate: FileGate) -> None:
     """Evaluate the expressions of a library by our grammar, within its files.
 
     Args:
@@ -670,7 +670,7 @@ def main() -> None:
     from xacrodoc import XacroDoc, packages, xacrodoc
 
     packages.update_package_cache(asked["packages"])
-    gate = Gate([*asked["roots"], *asked["packages"].values()])
+    gate = FileGate([*asked["roots"], *asked["packages"].values()])
     files = Files(xacrodoc.xacro, old=asked["old"])
     confine(xacrodoc.xacro, xacrodoc.substitution_args, packages, gate)
     answer: dict[str, Any] = {}

@@ -98,7 +98,7 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     Returns:
         The agreement; None if no two consecutive images show one place.
     """
-    clouds = [Surface.of(frame) for frame in frames if frame.depth is not None]
+    clouds = [DepthSurface.of(frame) for frame in frames if frame.depth is not None]
     if len(clouds) < len(frames) or len(clouds) < 2:
         return None
     steps = [offset(a, b) for a, b in pairwise(clouds)]
@@ -113,7 +113,7 @@ def check_poses(frames: Sequence[Frame]) -> PoseCheck | None:
     return PoseCheck(float(np.median(known)), drift, lost, jumps)
 
 
-def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[Surface]) -> bool:
+def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[DepthSurface]) -> bool:
     """Check whether a frame agrees with neither neighbor, and these with each other."""
     before, after = steps[k - 1], steps[k]
     if before is None or after is None or min(before, after) < JUMP:
@@ -122,7 +122,7 @@ def _is_lost(k: int, steps: Sequence[float | None], clouds: Sequence[Surface]) -
     return around is not None and around < JUMP / 2
 
 
-def _jumps(good: Sequence[int], clouds: Sequence[Surface]) -> tuple[int, ...]:
+def _jumps(good: Sequence[int], clouds: Sequence[DepthSurface]) -> tuple[int, ...]:
     """Return the first frames after jumps of the poses, among frames that are not lost."""
     steps = [_agreement_of(clouds[a], clouds[b]) for a, b in pairwise(good)]
     known = [step for step in steps if np.isfinite(step)]
@@ -134,7 +134,7 @@ def _jumps(good: Sequence[int], clouds: Sequence[Surface]) -> tuple[int, ...]:
     )
 
 
-def _is_jump(first: int, least: float, clouds: Sequence[Surface]) -> bool:
+def _is_jump(first: int, least: float, clouds: Sequence[DepthSurface]) -> bool:
     """Check whether frames before `first` see other surfaces at the same places as those after."""
     begin = max(0, first - JUMP_FRAMES)
     T = np.array([one.T_world_camera for one in clouds[begin : first + JUMP_FRAMES]])
@@ -149,11 +149,11 @@ def _is_jump(first: int, least: float, clouds: Sequence[Surface]) -> bool:
     return len(known) >= MIN_JUMP_PAIRS and max(known) < least
 
 
-def _agreement_of(a: Surface, b: Surface) -> float:
+def _agreement_of(a: DepthSurface, b: DepthSurface) -> float:
     return agreement(a, b, invert(b.T_world_camera) @ a.T_world_camera)
 
 
-def agreement(a: Surface, b: Surface, T_b_a: Float[np.ndarray, "4 4"]) -> float:
+def agreement(a: DepthSurface, b: DepthSurface, T_b_a: Float[np.ndarray, "4 4"]) -> float:
     """Return the share of the flat pixels of an image that lie on the surfaces of another one.
 
     Args:
@@ -193,8 +193,8 @@ def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
-    """Surface of one depth image, on a coarse raster."""
+class DepthSurface:
+    """DepthSurface of one depth image, on a coarse raster."""
 
     points: Float[np.ndarray, "h w 3"]
     """In the camera's frame [m]."""
@@ -205,7 +205,7 @@ class Surface:
     T_world_camera: Float[np.ndarray, "4 4"]
 
     @classmethod
-    def of(cls, frame: Frame) -> Surface:
+    def of(cls, frame: Frame) -> DepthSurface:
         assert frame.depth is not None
         depth = frame.depth[::STRIDE, ::STRIDE].astype(float)
         K = frame.intrinsics.copy()
@@ -227,7 +227,7 @@ class Surface:
         return cls(points, normals, K, frame.T_world_camera)
 
 
-def offset(a: Surface, b: Surface) -> float | None:
+def offset(a: DepthSurface, b: DepthSurface) -> float | None:
     """Return the distance by which one image's surface must move to lie on another's [m].
 
     Returns:
@@ -250,7 +250,7 @@ def offset(a: Surface, b: Surface) -> float | None:
 
 
 def _matched(
-    points: Float[np.ndarray, "n 3"], b: Surface
+    points: Float[np.ndarray, "n 3"], b: DepthSurface
 ) -> tuple[
     Bool[np.ndarray, " n"],
     Float[np.ndarray, "m 3"],
@@ -362,7 +362,7 @@ def with_conventions(
     usually = Conventions("given", "opencv", usual)
     first = Conventions(stated.poses or "given", stated.axes or "opencv", stated.scale or usual)
     poses = [frame.T_world_camera for frame in frames]
-    surfaces = [Surface.of(frame) for frame in frames] if _with_depth(frames) else []
+    surfaces = [DepthSurface.of(frame) for frame in frames] if _with_depth(frames) else []
     pairs = _pairs(len(surfaces))
     tried = list(dict.fromkeys((first, *_possible(first, stated, _median_depth(frames), usually))))
     trial = _Trial(surfaces, poses, pairs, usual)
@@ -420,7 +420,7 @@ def _pairs(count: int) -> list[tuple[int, int]]:
 class _Trial:
     """Pairs of images on which conventions are tried."""
 
-    surfaces: Sequence[Surface]
+    surfaces: Sequence[DepthSurface]
     poses: Sequence[Float[np.ndarray, "4 4"]]
     pairs: Sequence[tuple[int, int]]
     usual: float

@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core.geometry import UprightBox, corners, from_corners
 from momapos.model.records import Cloud, Instance
 
-from .room_shell import RoomShell, Wall, area, ends, floor_seen, peaks
+from .room_shell import RoomShell, RoomWall, area, ends, floor_seen, peaks
 from .supports import components
 
 if TYPE_CHECKING:
@@ -261,7 +261,7 @@ def _wall_behind(
     face: float,
     axis: int,
     sign: float,
-) -> Wall | None:
+) -> RoomWall | None:
     middle = (low + high) / 2
     middle[axis] = face
     behind = [

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Wall:
+class RoomWall:
     """A wall along x or y."""
 
     axis: int
@@ -46,7 +46,7 @@ class Wall:
 class RoomShell:
     """Walls and ceiling of a room; the floor is at z = 0."""
 
-    walls: tuple[Wall, ...] = ()
+    walls: tuple[RoomWall, ...] = ()
     ceiling: float | None = None
     """Height of the ceiling [m]."""
 
@@ -186,7 +186,7 @@ def peaks(values: Float[np.ndarray, " n"], width: float, least: int, apart: floa
     return found
 
 
-def _walls(cloud: Cloud, axis: int, sign: float) -> list[Wall]:
+def _walls(cloud: Cloud, axis: int, sign: float) -> list[RoomWall]:
     facing = np.flatnonzero(sign * cloud.normals[:, axis] > 0.9)
     points = cloud.points[facing]
     tall = min(MIN_WALL_TOP, 0.75 * float(np.percentile(cloud.points[:, 2], 99)))
@@ -198,13 +198,13 @@ def _walls(cloud: Cloud, axis: int, sign: float) -> list[Wall]:
         middle = np.percentile(along, 95) - np.percentile(along, 5)
         top = float(np.percentile(height, 99))
         if middle >= 0.9 * MIN_WALL_LENGTH and top >= tall and area(along, height) >= MIN_WALL_AREA:
-            wall = Wall(axis, sign, offset, float(low), float(high), top)
+            wall = RoomWall(axis, sign, offset, float(low), float(high), top)
             if _share_hiding(wall, along, cloud) <= MAX_OPEN_BEHIND:
                 walls.append(wall)
     return walls
 
 
-def _share_hiding(wall: Wall, along: Float[np.ndarray, " n"], cloud: Cloud) -> float:
+def _share_hiding(wall: RoomWall, along: Float[np.ndarray, " n"], cloud: Cloud) -> float:
     """Return the share of a surface's strips that have something behind them."""
     away = -wall.distance(cloud.points)
     behind = (away > BEHIND_RANGE[0]) & (away < BEHIND_RANGE[1])

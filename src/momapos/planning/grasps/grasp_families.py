@@ -16,7 +16,7 @@ from momapos.model.urdf import Articulated, opens_both_ways
 from momapos.verification import Limits
 
 from .config import HANDLE_POINTS, GraspConfig
-from .hand_boxes import Hand, empty_handed, hand_of
+from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import NEVER, CarriedPart, Element, in_pieces, part_elements, touches_hull
 from .handles import PUSH_INSET, Handle, front_face, front_part, handles_in_turn
 from .part_grasps import (
@@ -101,7 +101,7 @@ def _top(part: CarriedPart, out: Float[np.ndarray, "3"]) -> float:
 
 
 def _touching_hull(
-    hand: Hand, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
+    hand: HandBoxes, back: Handle, inward: Float[np.ndarray, "3"], R: Float[np.ndarray, "g 3 3"]
 ) -> Float[np.ndarray, "g 3"]:
     """Return tool origins at which the fingers touch the back, with their tips at its middle point.
 
@@ -113,7 +113,7 @@ def _touching_hull(
 
 
 def _height(
-    hand: Hand, part: CarriedPart, out: Float[np.ndarray, "3"], T: Float[np.ndarray, "g 4 4"]
+    hand: HandBoxes, part: CarriedPart, out: Float[np.ndarray, "3"], T: Float[np.ndarray, "g 4 4"]
 ) -> Float[np.ndarray, " g"]:
     """Return how far the fingers of hands are above the pieces of a part, in a direction [m].
 

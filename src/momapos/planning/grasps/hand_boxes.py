@@ -30,7 +30,7 @@ _EDGES = np.argwhere(np.triu((_CORNERS[:, None] != _CORNERS).sum(-1) == 1))
 
 
 @dataclass(frozen=True, eq=False)
-class Hand:
+class HandBoxes:
     """A fully opened gripper in its tool frame."""
 
     boxes: Boxes
@@ -156,7 +156,7 @@ def empty_handed(robot: Robot) -> str:
 
 
 @owner_cache()
-def hand_of(robot: Robot) -> Hand:
+def hand_of(robot: Robot) -> HandBoxes:
     """Build the model of a robot's gripper.
 
     Fingers are moved along the closing axis until the distance of their pads is the opening, for
@@ -192,7 +192,7 @@ def _open_hand(
     robot: Robot,
     *,
     one_jaw: bool,
-) -> Hand:
+) -> HandBoxes:
     """Classify palm, fingers and pads, and open the fingers.
 
     Args:
@@ -227,7 +227,7 @@ def _open_hand(
     faces = [float((inner * s)[pad & (side == s)].min(initial=np.inf)) for s in (1, -1)]
     tip = max(tips) if np.isfinite(max(tips)) else robot.finger_depth
     if not np.isfinite(faces).all():
-        return Hand(boxes, side, pad, approach, closing, 0.0, 0.0, tip, 0.0)
+        return HandBoxes(boxes, side, pad, approach, closing, 0.0, 0.0, tip, 0.0)
     spread = np.where(side > 0, robot.opening / 2 - faces[0], faces[1] - robot.opening / 2)
     if fixed:
         spread = np.where(side == fixed, 0.0, fixed * (sum(faces) - robot.opening))
@@ -237,7 +237,7 @@ def _open_hand(
     behind = (side != 0) & ~pad & (inner * side < front - LEVEL_TOLERANCE)
     ends = (along + reach[:, 0])[behind]
     low = max(float((along - reach[:, 0])[pad].min()), float(ends.max(initial=-np.inf)))
-    return Hand(
+    return HandBoxes(
         Boxes(center, boxes.rotation, boxes.half), side, pad, approach, closing,
         robot.opening / 2, (min(low, tip) + tip) / 2, tip,
         (robot.opening - (sum(faces) if gap is None else gap)) * (0.5 if fixed == 0 else 1.0),

@@ -14,7 +14,7 @@ from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
-from .hand_boxes import Hand, empty_handed, hand_of
+from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import (
     NEVER,
     CarriedPart,
@@ -67,7 +67,7 @@ def near_elements(
 
 
 def advance(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
@@ -101,7 +101,7 @@ def advance(
 
 
 def stands_clear(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
     R: Float[np.ndarray, "g 3 3"],
@@ -118,7 +118,7 @@ def stands_clear(
 
 
 def close_hands(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
     R: Float[np.ndarray, "g 3 3"],
@@ -141,7 +141,7 @@ def close_hands(
 
 
 def _close_fingers(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
     R: Float[np.ndarray, "g 3 3"],
@@ -189,14 +189,14 @@ class Contact:
     spread: Float[np.ndarray, " g"]
     """Mean distance of the contact points from their middle, the smaller of both pads [m]."""
 
-    def is_firm(self, hand: Hand, config: GraspConfig) -> Bool[np.ndarray, " g"]:
+    def is_firm(self, hand: HandBoxes, config: GraspConfig) -> Bool[np.ndarray, " g"]:
         """Check that the contacts are large enough and face each other."""
         pads = np.diff(hand.inner(1)[1], axis=0)[0]
         return (self.area >= 1e-4 * config.pad_contact) & (self.apart < pads.min())
 
 
 def contact_of(
-    hand: Hand,
+    hand: HandBoxes,
     held: tuple[Element, ...],
     R: Float[np.ndarray, "g 3 3"],
     p: Float[np.ndarray, "g 3"],
@@ -469,7 +469,7 @@ def push_grasps(
 
 def _closed(
     robot: Robot,
-    hand: Hand,
+    hand: HandBoxes,
     model: Articulated,
     joint: str,
     sign: float,
@@ -532,7 +532,7 @@ def elements_near_handle(
 
 
 def _grasp_depths(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     lines: ApproachLines,
     handle: Handle,
@@ -582,7 +582,7 @@ def _grasp_depths(
 
 def _touching(
     robot: Robot,
-    hand: Hand,
+    hand: HandBoxes,
     model: Articulated,
     joint: str,
     sign: float,

@@ -15,7 +15,7 @@ from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
 from .grasp_families import Grasps, GraspSelection, firmest_first
-from .hand_boxes import Hand, empty_handed, hand_of
+from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import Element, convex_of, corners
 from .part_grasps import (
     FAMILIES,
@@ -164,7 +164,7 @@ def _lines(
 
 def _pinched(
     robot: Robot,
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     lines: _Lines,
     center: Float[np.ndarray, "3"],
@@ -218,7 +218,7 @@ def _too_wide(robot: Robot, lines: _Lines, config: GraspConfig) -> str:
 
 
 def _depths(
-    hand: Hand, elements: tuple[Element, ...], lines: _Lines, config: GraspConfig
+    hand: HandBoxes, elements: tuple[Element, ...], lines: _Lines, config: GraspConfig
 ) -> tuple[Float[np.ndarray, "g 3 3"], Float[np.ndarray, "g 3"], Int[np.ndarray, " g"]]:
     """Build tool poses on lines, at the deepest reachable depth and others.
 
@@ -239,7 +239,7 @@ def _depths(
 
 def _sucked(
     robot: Robot,
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     lines: _Lines,
     need: float,

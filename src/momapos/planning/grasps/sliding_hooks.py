@@ -21,7 +21,7 @@ from momapos.model.robots import Grip, Robot
 from momapos.model.scene import SceneObject, stays_in_place
 
 from .config import GraspConfig
-from .hand_boxes import Hand, hand_of
+from .hand_boxes import HandBoxes, hand_of
 from .handle_shapes import Element
 from .handles import Handle
 from .motion_record import TaskMotion, Turning
@@ -241,7 +241,7 @@ def _groups(
 
 
 def _slide_is_free(
-    hand: Hand,
+    hand: HandBoxes,
     elements: tuple[Element, ...],
     held: Bool[np.ndarray, " e"],
     config: GraspConfig,
