@@ -21,6 +21,8 @@ pytest_plugins = ["pytester"]
 # On a busy machine any example may take long.
 settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("busy")
+KEPT = ("kernel-", "reach-")
+"""Cache entries that all runs of tests share."""
 ROBOTS = ("segway_ur5e", "husky_ur5e", "fetch", "ranger_rm63")
 
 
@@ -56,7 +58,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     """Compile the kernels that are not cached yet, one worker from each end, before any test runs.
 
     Else each worker would compile all of them. What the tests cache about their own scenes and
-    robots then goes to a folder of this process, in which the user's cache is linked.
+    robots then goes to a folder of this process, in which kernels and maps are linked.
     """
     worker = getattr(session.config, "workerinput", None)
     if worker is not None:
@@ -68,7 +70,8 @@ def pytest_collection_finish(session: pytest.Session) -> None:
             store.prepare([ENTRIES[name]], lambda *_: None)
     folder, home = Path(tempfile.mkdtemp(prefix="momapos-tests-")), default_cache_dir()
     for file in home.iterdir() if home.is_dir() else ():
-        (folder / file.name).symlink_to(file)
+        if file.name.startswith(KEPT):
+            (folder / file.name).symlink_to(file)
     session.config.add_cleanup(lambda: _end_cache(folder, home))
     os.environ["MOMAPOS_CACHE"] = str(folder)
 
@@ -78,7 +81,7 @@ def _end_cache(folder: Path, home: Path) -> None:
     os.environ["MOMAPOS_CACHE"] = str(home)
     home.mkdir(parents=True, exist_ok=True)
     for file in folder.iterdir():
-        if not file.is_symlink() and file.name.startswith(("kernel-", "reach-")):
+        if not file.is_symlink() and file.name.startswith(KEPT):
             shutil.move(file, home / file.name)
     shutil.rmtree(folder)
 

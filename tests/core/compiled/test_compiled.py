@@ -20,6 +20,7 @@ from momapos.core.compiled import code_store as stores
 from momapos.core.compiled.code_store import Store, decode, encode
 from momapos.core.compiled.entries import Kernel
 from momapos.core.compiled.pack import every_entry
+from momapos.core.geometry import polygons
 
 _FACTOR = 2.0
 
@@ -69,6 +70,13 @@ def test_code_is_compiled_once_and_then_found(folder: Path) -> None:
     found = Store(folder).find(_along)
     assert found is not None
     assert decode(encode(found)) == found
+
+
+def test_another_process_compiles_into_the_folder(tmp_path: Path) -> None:
+    entry = polygons._chain
+    words = [sys.executable, "-m", "momapos.core.compiled", str(tmp_path), entry.name]
+    subprocess.run(words, check=True)
+    assert Store(tmp_path, tmp_path / "no pack").find(entry) is not None
 
 
 def test_damaged_code_is_not_found(tmp_path: Path) -> None:

@@ -73,9 +73,12 @@ class Store:
             return self._linked[key]
 
     def prepare(self, entries: Sequence[KernelSource], report: Progress) -> None:
-        """Compile entries that are not stored; call `report(done, total)` before each."""
+        """Compile entries that are not stored; call `report(done, total)` before each.
+
+        If there are several, a second process compiles them from the last one on.
+        """
         missing = [entry for entry in entries if not self._has(entry)]
-        with _no_garbage_collection():
+        with _no_garbage_collection(), _second_process(missing[:0:-1], self.cache.folder):
             for done, entry in enumerate(missing):
                 report(done, len(missing))
                 self.native(entry)
@@ -145,6 +148,23 @@ class Store:
             features.get(name, False) for name in PACK_FEATURES
         )
         return stamps if fits else {}
+
+
+@contextlib.contextmanager
+def _second_process(entries: Sequence[KernelSource], folder: Path) -> Iterator[None]:
+    """Compile entries into a cache folder in another process, until the block ends."""
+    if not entries or (os.cpu_count() or 1) < 2:
+        yield
+        return
+    from subprocess import DEVNULL, Popen
+
+    names = [entry.name for entry in entries]
+    words = [sys.executable, "-m", "momapos.core.compiled", str(folder), *names]
+    with Popen(words, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 @contextlib.contextmanager
