@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 CODE := src tests benchmarks examples training integrations docs_hooks.py
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Versions of packages: newest allowed by default; constraints/locked.txt or constraints/lowest.txt.
+CONSTRAINTS ?=
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
-.PHONY: demo test check bench docs torch test-quick test-all test-torch test-slow test-wheel test-ros test-usd test-film test-page clean
+.PHONY: demo test check bench docs torch test-quick test-all test-torch test-slow test-wheel test-ros test-usd test-film test-page lock clean
 
 $(VENV)/.core: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or later is needed; set PYTHON=...") if sys.version_info < (3, 11) else None'
@@ -99,6 +101,13 @@ docs: $(VENV)/.docs
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
+
+# Writes both; needs uv.
+lock:
+	uv pip compile pyproject.toml --universal --python-version 3.11 --no-header --no-annotate --upgrade \
+		$(addprefix --extra ,bench dev kitchens physics scan view xacro) --output-file constraints/locked.txt
+	uv pip compile pyproject.toml --universal --python-version 3.11 --no-header --no-annotate --resolution lowest-direct \
+		$(addprefix --extra ,bench kitchens physics scan view xacro) --output-file constraints/lowest.txt
 
 clean:
 	rm -rf $(VENV) build dist demo_plan.json demo_plan.png

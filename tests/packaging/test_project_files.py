@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import momapos
 
@@ -58,3 +60,13 @@ def test_workflows_run_all_supported_python_versions() -> None:
 def test_the_image_installs_existing_extras() -> None:
     (extras,) = re.findall(r"/source\[(.*)\]", (REPOSITORY / "Dockerfile").read_text())
     assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"])
+
+
+@pytest.mark.parametrize("name", ["lowest", "locked"])
+def test_constraints_hold_an_allowed_version_of_each_dependency(name: str) -> None:
+    text = (REPOSITORY / "constraints" / f"{name}.txt").read_text()
+    versions = dict(re.findall(r"^([\w.-]+)==([^\s;]+)", text, re.MULTILINE))
+    extras = PROJECT["optional-dependencies"]
+    named = [*PROJECT["dependencies"], *extras["physics"], *extras["scan"], *extras["view"]]
+    for requirement in map(Requirement, named):
+        assert versions[canonicalize_name(requirement.name)] in requirement.specifier
