@@ -85,9 +85,10 @@ def scan_to_scene(
         scan, tools, found=found, labels=labels, config=config, progress=progress, clock=clock
     )
     name = None if target is None else name_of(target, seen)
-    scores = {} if name is None else rank_survey(seen, name, importance).by_name
+    ranked = None if name is None else rank_survey(seen, name, importance)
+    scores, alpha = ({}, 0.0) if ranked is None else (ranked.by_name, ranked.alpha)
     made = model_room(
-        seen, out, tools, scores=scores, alpha=importance.alpha, given=given,
+        seen, out, tools, scores=scores, alpha=alpha, given=given,
         config=config, progress=progress, clock=clock,
     )  # fmt: skip
     return replace(made, target=name)

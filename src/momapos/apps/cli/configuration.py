@@ -87,7 +87,7 @@ class Configuration(PipelineConfig):
 DEFAULT = Configuration()
 MethodOption = Annotated[Optional[Method], optional("METHOD", DEFAULT.place.method)]  # noqa: UP045
 TimeoutOption = Annotated[Number, optional("SECONDS", f"{DEFAULT.timeout:g}")]
-AlphaOption = Annotated[Number, optional("SCORE", DEFAULT.importance.alpha)]
+AlphaOption = Annotated[Number, optional("SCORE", DEFAULT.importance.resolved.alpha)]
 ScorerOption = Annotated[Optional[ScorerName], optional("SCORER", "reach")]  # noqa: UP045
 OWN = {
     "method": "place.method", "timeout": "timeout", "alpha": "importance.alpha",

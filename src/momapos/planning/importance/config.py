@@ -10,6 +10,8 @@ from momapos.core import InputError, check_fields, refuse_above
 
 MAX_COUNT = 10_000
 """Upper bound of every count, so that a typing error does not run for hours [-]."""
+ALPHA = 0.45
+"""Score of the least important object that is in S by default [-]."""
 ScorerName = Literal["reach", "deepwalk", "node2vec", "distance", "size", "names"]
 WeightsName = Literal["scaled", "printed"]
 EdgesName = Literal["support", "near", "dense"]
@@ -50,8 +52,9 @@ class ImportanceConfig:
     node2vec: that of its authors' code; distance: distance to the target; size: size relative to
     that distance; names: words only. None: deepwalk with the paper's placement method, node2vec
     with that of the authors' code, else reach."""
-    alpha: float = 0.45
-    """Objects with at least this score are in S, from 0 to 1 [-]."""
+    alpha: Optional[float] = None  # noqa: UP045 (see cli.options)
+    """Objects with at least this score are in S, from 0 to 1. None: 0.45, but a plan in a scene of
+    at most 50 objects models all of them [-]."""
     exceed: Optional[bool] = None  # noqa: UP045 (see cli.options)
     """Whether a score must exceed alpha. None: yes for the scorer deepwalk, else no."""
     k0: float = 0.5
@@ -78,7 +81,7 @@ class ImportanceConfig:
         check_fields(self)
         for name in ("alpha", "k0"):
             value = getattr(self, name)
-            if not 0 <= value <= 1:
+            if value is not None and not 0 <= value <= 1:
                 raise InputError(f"ImportanceConfig.{name} must be from 0 to 1, not {value:g}")
         for name, least in (
             ("walks", 1), ("length", 2), ("window", 1), ("dimensions", 1), ("epochs", 1),
@@ -98,6 +101,7 @@ class ImportanceConfig:
         edges: EdgesName = self.graph.edges or _EDGES.get(scorer, "near")
         return replace(
             self, scorer=scorer, weights=self.weights or "printed",
+            alpha=ALPHA if self.alpha is None else self.alpha,
             exceed=scorer == "deepwalk" if self.exceed is None else self.exceed,
             graph=replace(self.graph, edges=edges),
         )  # fmt: skip

@@ -138,8 +138,9 @@ def rank(
         raise InputError(f"{target!r} is a wall of the room; no task is about it")
     graph = build_graph(scene.furniture, config.graph)
     chosen = graph.index(target)
-    scorer = config.scorer
+    scorer, alpha = config.scorer, config.alpha
     assert scorer is not None
+    assert alpha is not None
     if joint is not None:
         scene.object(target).joint(joint)
     if path is None and scorer == "reach":
@@ -154,7 +155,7 @@ def rank(
         target=target,
         names=tuple(graph.names[i] for i in order),
         scores=scores[order],
-        alpha=config.alpha,
+        alpha=alpha,
         scorer=scorer,
         seed=seed,
         graph=graph,
