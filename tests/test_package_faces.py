@@ -6,9 +6,11 @@ import ast
 import importlib
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
+from tests import sources
 
 import momapos
 
@@ -25,6 +27,7 @@ MODULES = {
 FACE = re.compile(r"^from \.([\w.]+) import (\w+) as \2$", re.MULTILINE)
 
 
+@cache
 def face(package: str) -> dict[str, str]:
     """Return the names of a package's face, and the module of each."""
     stub = PACKAGES[package] / "__init__.pyi"
@@ -34,7 +37,7 @@ def face(package: str) -> dict[str, str]:
 
 def imports(module: str) -> Iterator[tuple[str, str]]:
     """Yield what a module imports of momapos: the module or package, and the name."""
-    for node in ast.walk(ast.parse(MODULES[module].read_text())):
+    for node in sources.nodes(MODULES[module]):
         if isinstance(node, ast.ImportFrom):
             package = module.rpartition(".")[0].split(".")
             base = ".".join(package[: len(package) + 1 - node.level]) if node.level else ""
@@ -68,7 +71,7 @@ def test_inside_a_package_imports_are_relative() -> None:
     absolute = [
         f"{module}: {node.module}"
         for module, path in MODULES.items()
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in sources.nodes(path)
         if isinstance(node, ast.ImportFrom)
         and not node.level
         and node.module in MODULES
@@ -118,7 +121,7 @@ def test_no_imports_are_circular() -> None:
 def test_a_class_name_has_one_meaning() -> None:
     places: dict[str, list[str]] = {}
     for module, path in MODULES.items():
-        for node in ast.parse(path.read_text()).body:
+        for node in sources.tree(path).body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(module)
     assert {name: where for name, where in places.items() if len(where) > 1} == {}

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests import sources
 from tests.shapes import unchecked
 
 import momapos
@@ -34,18 +35,21 @@ DRAWN = {"text": 2, "annotate": 0, "set_title": 0, "suptitle": 0, "set_xlabel": 
 EVIL = ("\x1b[2J", "\x1b]0;pwn\x07", "\u202eabc", "\ud800", "\x9b31m", "a\rb", "\u2066", "\ufeff")
 
 
+Nodes = tuple[ast.AST, ...]
+
+
 @functools.cache
-def modules() -> tuple[tuple[str, ast.Module], ...]:
+def modules() -> tuple[tuple[str, Nodes], ...]:
     """Return the modules of the package, by their paths in it."""
     return tuple(
-        (path.relative_to(SOURCE).as_posix(), ast.parse(path.read_text()))
+        (path.relative_to(SOURCE).as_posix(), sources.nodes(path))
         for path in sorted(SOURCE.rglob("*.py"))
     )
 
 
-def calls(tree: ast.Module) -> Iterator[tuple[str, ast.Call]]:
+def calls(nodes: Nodes) -> Iterator[tuple[str, ast.Call]]:
     """Yield all calls with the last word of what is called."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call):
             if isinstance(node.func, ast.Attribute):
                 yield f".{node.func.attr}", node
@@ -58,8 +62,8 @@ def test_all_paths_are_resolved_by_one_function() -> None:
     own = ("core/files.py", "model/robots/xacro_program.py")  # a program without imports
     found = [
         f"{name}:{call.lineno}"
-        for name, tree in modules()
-        for word, call in calls(tree)
+        for name, nodes in modules()
+        for word, call in calls(nodes)
         if word in (".resolve", ".realpath") and name not in own
     ]
     assert found == [], "use momapos.core.resolved"
@@ -71,8 +75,8 @@ def test_commands_print_by_one_function() -> None:
            "core/errors.py")  # fmt: skip
     found = [
         f"{name}:{call.lineno}"
-        for name, tree in modules()
-        for word, call in calls(tree)
+        for name, nodes in modules()
+        for word, call in calls(nodes)
         if word == "print" and name not in own
     ]
     assert found == [], "use momapos.core.say"
@@ -80,17 +84,17 @@ def test_commands_print_by_one_function() -> None:
 
 def test_all_texts_of_figures_pass_through_one_function() -> None:
     found = []
-    for name, tree in modules():
+    for name, nodes in modules():
         if not name.startswith("apps/plots/"):
             continue
-        for word, call in calls(tree):
+        for word, call in calls(nodes):
             texts = [key.value for key in call.keywords if key.arg in ("title", "label", "xlabel")]
             if word[0] == "." and word[1:] in DRAWN and not _writes_column(call):
                 words = [one for one in call.args if not isinstance(one, ast.Starred)]
                 starred = len(words) < len(call.args)
                 place = 0 if starred else DRAWN[word[1:]]
                 texts += words[place : place + 1]
-            found += [f"{name}:{call.lineno}" for text in texts if not _is_safe(text, tree)]
+            found += [f"{name}:{call.lineno}" for text in texts if not _is_safe(text, nodes)]
     assert found == [], "use momapos.core.label"
 
 
@@ -101,7 +105,7 @@ def _writes_column(call: ast.Call) -> bool:
     return isinstance(owner, ast.Name) and owner.id in ("column", "self")
 
 
-def _is_safe(text: ast.AST, tree: ast.Module) -> bool:
+def _is_safe(text: ast.AST, nodes: Nodes) -> bool:
     if isinstance(text, ast.Constant):
         return True
     if isinstance(text, ast.JoinedStr):  # the names of axes
@@ -113,7 +117,7 @@ def _is_safe(text: ast.AST, tree: ast.Module) -> bool:
     if isinstance(text, ast.Name):
         values = [
             node.value
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.Assign)
             and any(isinstance(one, ast.Name) and one.id == text.id for one in node.targets)
         ]
@@ -129,8 +133,8 @@ def test_pages_escape_by_one_function() -> None:
     own = ("core/errors.py", "apps/web/static.py")  # a whole page as an attribute
     found = [
         name
-        for name, tree in modules()
-        for node in ast.walk(tree)
+        for name, nodes in modules()
+        for node in nodes
         if isinstance(node, ast.Import | ast.ImportFrom)
         and "html" in [getattr(node, "module", None), *(one.name for one in node.names)]
         and name not in own

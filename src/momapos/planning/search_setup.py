@@ -86,8 +86,10 @@ class SearchSetup:
             place: How to search.
         """
         robot, problem = self.query.robot, self.problem
+        if robot.ik.complete or problem.fit is not None or not place.grid:
+            return Search()
         poses = found.without_path()
-        if robot.ik.complete or problem.fit is not None or not (len(poses) and place.grid):
+        if not len(poses):
             return Search()
         order = np.argsort(problem.travel_cost(poses), kind="stable")
         fine = replace(self.feasible, robot=robot.finer)
