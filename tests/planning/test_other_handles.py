@@ -122,6 +122,7 @@ def test_the_reason_at_a_base_pose_is_that_of_the_handle_that_came_farthest(
     assert str(attempt.outcome) == str(max(alone, key=lambda one: one.outcome.progress).outcome)
 
 
+@pytest.mark.slow
 def test_a_public_dishwasher_is_opened_by_its_next_handle(tmp_path: Path) -> None:
     scene = load_scene(optional.there(DATA / "bestman/Asset/Scene/Scene/Kitchen_1.json"))
     task = make_task(scene, "open", "elementC", "dishwasher_door")

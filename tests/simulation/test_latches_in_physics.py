@@ -43,7 +43,7 @@ def carried_out(there: Scene, believed: Scene, hold: str) -> tuple[AttemptOutcom
 @pytest.mark.parametrize(
     ("kind", "hold"),
     [
-        ("a lever", "contact"), ("a sliding bolt", "weld"),
+        ("a lever", "contact"), pytest.param("a sliding bolt", "weld", marks=pytest.mark.slow),
         pytest.param("a T-handle", "contact", marks=pytest.mark.slow),
         pytest.param("a lever with another inside", "weld", marks=pytest.mark.slow),
         pytest.param("a lever on a drawer", "contact", marks=pytest.mark.slow),

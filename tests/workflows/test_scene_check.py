@@ -355,7 +355,9 @@ def test_a_wrong_argument_is_named() -> None:
 
 # ------------------------------------------------------------------------------------ real data
 
-KITCHENS = ("Kitchen", "Kitchen_1", "Kitchen_anygrasp", "b512")
+KITCHENS = (
+    pytest.param("Kitchen", marks=pytest.mark.slow), "Kitchen_1", "Kitchen_anygrasp", "b512",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", KITCHENS)
