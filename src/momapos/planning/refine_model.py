@@ -18,7 +18,7 @@ from .result import PlacementResult
 
 MODELED_WHOLE = 50
 """Number of objects up to which all have a model from the start, unless alpha is given: in kitchens
-of 6 to 31 objects one search with all models takes less time than two with fewer [-]."""
+of 4 to 21 objects one search with all models takes less time than two with fewer [-]."""
 
 
 def initial_selection(query: PlacementQuery, ranked: Importance, motion: TaskMotion) -> Selection:

@@ -203,6 +203,9 @@ def _afterward(answer: PlacementResult) -> list[str]:
 
 
 def _modeled(key: KeyObjects) -> str:
+    if len(key.names) == len(key.scores):
+        first = ", ".join(f"{name} {key.scores[name]:.2f}" for name in key.names[1:4])
+        return f"all {len(key.names)} objects" + (f"; by {key.scorer}: {first}" if first else "")
     text = f"{len(key.names)} of {len(key.scores)} objects ({key.scorer}, alpha {key.alpha:.2f})"
     again = "once" if key.rounds == 1 else f"{key.rounds} times"
     return text + (f", rechecked {again} with more of them" if key.rounds else "")
