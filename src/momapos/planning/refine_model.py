@@ -15,7 +15,6 @@ from momapos.verification import PlanVerifier
 from .query import PlacementQuery
 from .result import PlacementResult
 
-
 MODELED_WHOLE = 50
 """Number of objects up to which all have a model from the start, unless alpha is given: in kitchens
 of 4 to 21 objects one search with all models takes less time than two with fewer [-]."""
