@@ -32,6 +32,8 @@ from momapos.apps.bench.report_tables import (
 )
 
 MODEL_ALL, ALL_CHECKS = "paper:importance.alpha=0", "paper:planner.optimize=true"
+SIMULATED = ("fetch", "segway_ur5e", "husky_ur5e")
+"""Robots of the paper's simulation."""
 
 
 class Answer(NamedTuple):
@@ -203,6 +205,43 @@ def kitchen_phrases(answers: Sequence[Answer]) -> list[str]:
     ]
 
 
+def simulation_tables(answers: Sequence[Answer]) -> list[str]:
+    """Return the lines of the table of the paper's simulation, as Markdown: time, solved tasks."""
+    robots = [*SIMULATED, "all"]
+
+    def of(method: str | None, robot: str) -> list[Answer]:
+        return [
+            a for a in answers if method in (None, a.method) and robot in ("all", a.task.split()[0])
+        ]
+
+    tasks = {robot: len({a.task for a in of(None, robot)}) for robot in robots}
+    heads = [f"{robot} ({count})" for robot, count in tasks.items()]
+    lines = [f"| | time | {' | '.join(heads)} |"]
+    for method in sorted({a.method for a in answers}, key=_order):
+        times = np.percentile([a.seconds for a in of(method, "all")], [50, 95])
+        counts = {robot: sum(a.success for a in of(method, robot)) for robot in robots}
+        cells = [f"{n}, {100 * n / tasks[robot]:.0f} %" for robot, n in counts.items()]
+        lines.append(f"| `{method}` | {times[0]:.2f} s, {times[1]:.1f} s | {' | '.join(cells)} |")
+    return lines
+
+
+def simulation_phrases(answers: Sequence[Answer]) -> list[str]:
+    """Return what the pages say of the paper's simulation in words."""
+    solved = {
+        method: {a.task for a in answers if a.success and a.method == method}
+        for method in ("paper", ALL_CHECKS)
+    }
+    first, every = solved["paper"], solved[ALL_CHECKS]
+    total = {m: sum(a.seconds for a in answers if a.method == m) for m in ("paper", ALL_CHECKS)}
+    return [
+        f"{len(first & every)} tasks are solved with both, {len(first - every)} only with the "
+        f"first and {len(every - first)} only with the second",
+        f"{100 * (1 - total['paper'] / total[ALL_CHECKS]):.0f} % less time",
+        f"of {len({a.task for a in answers})} of these tasks the default solves "
+        f"{'the same' if first == every else 'others'}",
+    ]
+
+
 def scan_tables(answers: Sequence[Answer]) -> list[str]:
     """Return the lines of the tables of a run from scans as Markdown: shares, modeling times."""
     rows = [_row(a) for a in answers if a.success]
@@ -315,7 +354,9 @@ def main() -> None:
     args = parser.parse_args()
     suite, answers = answers_of(args.folder)
     write(answers, args.out / f"{args.name or suite}.csv.gz")
-    if any(a.stages for a in answers):
+    if suite == "paper-sim":
+        print("\n".join([*simulation_tables(answers), *simulation_phrases(answers)]))
+    elif any(a.stages for a in answers):
         print("\n".join(scan_tables(answers)))
     else:
         print("\n".join([*table(suite, answers), "", *medians(suite, answers)]))

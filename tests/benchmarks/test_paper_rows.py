@@ -15,6 +15,7 @@ RESULTS = ROOT / "docs" / "results"
 ROWS = RESULTS / "rows"
 FILES = sorted(ROWS.glob("*.csv.gz"))
 SCANS = [ROWS / f"paper-real-scan{name}.csv.gz" for name in ("", "-other", "-unseen")]
+SIMULATION = ROWS / "paper-sim.csv.gz"
 
 
 @pytest.fixture
@@ -33,10 +34,12 @@ def text() -> str:
 
 def test_rows_of_all_runs_are_kept() -> None:
     suites = {ROWS / f"{name}.csv.gz" for name in ("authors-sim", "paper-table")}
-    assert set(FILES) == {*suites, *SCANS}
+    assert set(FILES) == {*suites, *SCANS, SIMULATION}
 
 
-@pytest.mark.parametrize("file", [f for f in FILES if f not in SCANS], ids=lambda file: file.name)
+@pytest.mark.parametrize(
+    "file", [f for f in FILES if f not in (*SCANS, SIMULATION)], ids=lambda file: file.name
+)
 def test_every_line_of_a_table_is_computed_from_the_rows(rows: ModuleType, file: Path) -> None:
     answers = rows.read(file)
     text = (RESULTS / "paper.md").read_text(encoding="utf-8").splitlines()
@@ -61,6 +64,19 @@ def test_what_the_pages_say_of_scans_is_computed_from_the_rows(rows: ModuleType,
     known, *others = map(rows.read, SCANS)
     said = [*rows.scan_phrases(known, *others), *rows.scan_tables(known)]
     assert not [phrase for phrase in said if phrase not in text]
+
+
+def test_what_the_pages_say_of_simulation_is_computed_from_the_rows(
+    rows: ModuleType, text: str
+) -> None:
+    answers = rows.read(SIMULATION)
+    said = [*rows.simulation_phrases(answers), *rows.simulation_tables(answers)]
+    assert len(said) == 6
+    assert not [phrase for phrase in said if phrase not in text]
+    asked = {}
+    for a in answers:
+        asked.setdefault(a.method, []).append(a.task)
+    assert len({tuple(sorted(tasks)) for tasks in asked.values()}) == 1  # the same tasks for all
 
 
 def test_the_shares_of_the_papers_simulation_are_those_of_its_counts() -> None:
