@@ -6,6 +6,7 @@ import json
 import resource
 import subprocess
 import sys
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -72,11 +73,19 @@ def test_code_is_compiled_once_and_then_found(folder: Path) -> None:
     assert decode(encode(found)) == found
 
 
-def test_another_process_compiles_into_the_folder(tmp_path: Path) -> None:
-    entry = polygons._chain
-    words = [sys.executable, "-m", "momapos.core.compiled", str(tmp_path), entry.name]
-    subprocess.run(words, check=True)
-    assert Store(tmp_path, tmp_path / "no pack").find(entry) is not None
+def test_a_second_process_compiles_and_runs_no_code_of_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = tmp_path / "ran"
+    (tmp_path / "zipfile.py").write_text(f"open({str(ran)!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    made, pack, entry = tmp_path / "made", tmp_path / "no pack", polygons._chain
+    with stores._second_process([entry], made):
+        end = time.monotonic() + 300.0
+        while Store(made, pack).find(entry) is None and time.monotonic() < end:
+            time.sleep(0.1)
+    assert Store(made, pack).find(entry) is not None
+    assert not ran.exists()
 
 
 def test_damaged_code_is_not_found(tmp_path: Path) -> None:

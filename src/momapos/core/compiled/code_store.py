@@ -153,13 +153,14 @@ class Store:
 @contextlib.contextmanager
 def _second_process(entries: Sequence[KernelSource], folder: Path) -> Iterator[None]:
     """Compile entries into a cache folder in another process, until the block ends."""
-    if not entries or (os.cpu_count() or 1) < 2:
+    if not entries or not sys.executable or (os.cpu_count() or 1) < 2:
         yield
         return
     from subprocess import DEVNULL, Popen
 
     names = [entry.name for entry in entries]
-    words = [sys.executable, "-m", "momapos.core.compiled", str(folder), *names]
+    # -P: modules in the current folder, which may hold someone else's files, are not imported.
+    words = [sys.executable, "-P", "-m", "momapos.core.compiled", str(folder), *names]
     with Popen(words, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL) as process:
         try:
             yield
