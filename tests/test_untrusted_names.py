@@ -142,6 +142,20 @@ def test_pages_escape_by_one_function() -> None:
     assert found == [], "use momapos.core.escape_html"
 
 
+def test_no_process_imports_modules_from_the_current_folder() -> None:
+    """Whoever runs a command among someone else's files would run a module of theirs."""
+    found = [
+        path.relative_to(SOURCE).as_posix()
+        for path in sorted(SOURCE.rglob("*.py"))
+        for node in ast.walk(sources.tree(path))
+        if isinstance(node, ast.List | ast.Tuple)
+        and node.elts
+        and ast.unparse(node.elts[0]) == "sys.executable"
+        and ast.unparse(node.elts[1]) != "'-P'"
+    ]
+    assert found == []
+
+
 @given(st.text(max_size=50))
 def test_a_printable_text_has_no_controls_and_keeps_the_rest(text: str) -> None:
     shown = printable(text)

@@ -33,7 +33,7 @@ from momapos.core import InputError, content_key, one_line, require
 from .bench_records import Job, Row, Settings, Suite, from_plain, to_plain
 from .folder import RowStore
 
-WORKER = (sys.executable, "-m", "momapos.apps.bench.worker")
+WORKER = (sys.executable, "-P", "-m", "momapos.apps.bench.worker")
 START_LIMIT = 300.0
 """Time for a process to start [s]; imports are slow on a busy machine."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
