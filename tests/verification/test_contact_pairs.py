@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.cupboards import link
 
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -39,6 +41,31 @@ def test_the_depth_of_aligned_boxes_is_their_smallest_overlap() -> None:
     assert found.keys() == expected.keys()
     for pair, depth in expected.items():
         assert found[pair] == pytest.approx(depth, abs=1e-5)
+
+
+def test_objects_of_several_shapes_are_as_deep_in_each_other_as_their_deepest_shapes(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(2)
+    groups = []
+    for k in range(25):
+        sizes, centers = rng.uniform(0.1, 0.4, (3, 3)), rng.uniform(0, 2, (3, 3))
+        both = [(tuple(a), tuple(b)) for a, b in zip(sizes, centers, strict=True)]
+        path = tmp_path / f"g{k}.urdf"
+        path.write_text(f'<robot name="g{k}">{link("body", *both)}</robot>')
+        item = SceneObject.from_urdf(f"g{k}", path, (0.0, 0.0, 0.0))
+        groups.append((item, centers - sizes / 2, centers + sizes / 2))
+    expected = {}
+    for (i, (_, low, high)), (j, (_, other_low, other_high)) in combinations(enumerate(groups), 2):
+        above, below = high[:, None] - other_low[None], other_high[None] - low[:, None]
+        depth = np.minimum(above, below).min(2).max()
+        if depth > 1e-6:
+            expected[i, j] = depth
+    found = object_contacts(Scene("r", tuple(item for item, _, _ in groups)), 0.0)
+    assert len(expected) > 20
+    assert {(one.first, one.second): one.depth for one in found} == pytest.approx(
+        expected, abs=1e-5
+    )
 
 
 def test_a_gap_is_a_negative_depth() -> None:
