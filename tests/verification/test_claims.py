@@ -227,6 +227,20 @@ def test_an_srdf_that_disables_more_than_the_robots_own_is_a_violation(tmp_path:
     }
 
 
+@pytest.mark.parametrize(("height", "hits"), [(0.0045, False), (0.0075, True)])
+def test_the_base_drives_over_what_is_up_to_five_millimeters_high(
+    height: float, hits: bool, tmp_path: Path
+) -> None:
+    case = case_with_robot_file()
+    case.robot = case.robot.replace('xyz="0 0 0.3"', 'xyz="0 0 0.25"', 1)  # down to the floor
+    ahead = np.array([np.cos(BASE[2]), np.sin(BASE[2]), 0.0])
+    driven(case, "differential", np.array(BASE) - np.linspace(1.4, 0.0, 57)[:, None] * ahead)
+    middle = np.array([BASE[0], BASE[1], height / 2]) - 0.8 * ahead
+    case.obstacle([0.4, 0.4, height], middle.tolist())
+    found = failed(verified(case, tmp_path))
+    assert ("start and base path collision, arm at home" in found) == hits
+
+
 @pytest.mark.parametrize("stated", ["differential", None])
 def test_the_drive_of_the_robot_file_counts(stated: str | None, tmp_path: Path) -> None:
     case = case_with_robot_file()
