@@ -151,3 +151,19 @@ def test_joints_that_form_no_chain_are_rejected(robot: Robot) -> None:
         build_chain(model, model.joints[joints[0]].child, robot.tool_link, joints)
     with pytest.raises(UnknownNameError, match="did you mean"):
         build_chain(model, robot.base_link, robot.tool_link + "x", joints)
+
+
+@pytest.mark.parametrize("slides", [(), (0,)])
+@pytest.mark.parametrize(
+    ("axes", "upright"),
+    [
+        ((arms.UP, arms.UP, arms.LEFT), True),
+        (((0.0, 0.0, -1.0), (0.0, 0.0, -1.0), arms.LEFT), True),
+        ((arms.LEFT, arms.LEFT, arms.UP), False),
+        (((0.0, 0.1, 1.0), arms.LEFT, arms.UP), False),
+    ],
+)
+def test_an_arm_whose_first_axes_are_vertical_is_upright_whichever_way_they_point(
+    axes: tuple[tuple[float, ...], ...], upright: bool, slides: tuple[int, ...]
+) -> None:
+    assert arms.arm(axes, 3 * [(0.0, 0.1, 0.1)], (0.1, 0.0, 0.0), slides=slides).upright == upright

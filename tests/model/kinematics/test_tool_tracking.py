@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from jaxtyping import Float
 
-from momapos.core.geometry.transforms import pose_planar
+from momapos.core.geometry.transforms import pose_planar, rotation_about
 from momapos.model.kinematics.tool_tracking import jacobians, track_tools
 from momapos.model.robots.robot import Robot
 
@@ -51,3 +53,20 @@ def test_a_pose_out_of_reach_has_no_state(robot: Robot) -> None:
     there = robot.chain.tool_poses(q)
     there[3] = pose_planar(np.array([5.0, 0.0, 0.0])) @ there[3]
     assert track_tools(robot.chain, q, there) is None
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_arm_that_cannot_move_reaches_nothing_whatever_the_sign_of_the_errors(
+    robot: Robot, sign: float
+) -> None:
+    q = middle(robot, np.random.default_rng(0), 1)
+    fixed = replace(robot.chain, lower=q[0], upper=q[0])
+    there = fixed.tool_poses(q)
+    assert track_tools(fixed, q, there) is not None
+    turn = rotation_about(np.ones(3) / np.sqrt(3.0), np.array(sign * 0.01))
+    off = there.copy()
+    off[0, :3, :3] = turn @ there[0, :3, :3]
+    assert track_tools(fixed, q, off) is None
+    off = there.copy()
+    off[0, :3, 3] += sign * 0.01
+    assert track_tools(fixed, q, off) is None
