@@ -15,6 +15,7 @@ from tests.rooms import Everywhere, corridor_room
 from momapos.apps.cli.main import main
 from momapos.apps.cli.tour import split
 from momapos.core.errors import FileFormatError, OutOfTimeError, TaskError
+from momapos.core.stopwatch import look
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.plan_files.tour_format import read_tour
 from momapos.model.robots.robot import Robot, load_robot
@@ -135,10 +136,12 @@ def _late() -> NoReturn:
     raise OutOfTimeError("late")
 
 
-def _interrupted() -> None:
-    """Interrupt once: the second interrupt would end the command."""
+def _interrupted() -> NoReturn:
+    """Interrupt once, since the second interrupt would end the command, and work on."""
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         signal.raise_signal(signal.SIGINT)
+    while True:
+        look()
 
 
 @pytest.mark.parametrize(("end", "status"), [(_late, 4), (_interrupted, 130)])
@@ -146,7 +149,7 @@ def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over_or_it_is_inter
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-    end: Callable[[], None],
+    end: Callable[[], NoReturn],
     status: int,
 ) -> None:
     def late(query: PlacementQuery) -> PlacementResult:
@@ -159,13 +162,11 @@ def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over_or_it_is_inter
     tasks = [*WORDS[:4], "then", "pick", "cup", "then", "close", "/".join(DRAWER), *WORDS[-2:]]
     handler = signal.getsignal(signal.SIGINT)
     assert main([*tasks, "--out", str(file)]) == status
-    words = capsys.readouterr().out
-    assert "1 tasks from 1 base pose: timeout" in words
-    assert status == 130 or "2 further tasks have no answer yet" in words
+    assert "2 further tasks have no answer yet" in capsys.readouterr().out
     assert signal.getsignal(signal.SIGINT) is handler
     tour = read_tour(file)
     assert tour.status == "timeout"
-    assert [step.plan for step in tour.steps][:1] == ["tour_1.json"]
+    assert [step.plan for step in tour.steps] == ["tour_1.json"]
     assert main(["verify", str(tmp_path / "tour_1.json")]) == 0
     assert main(["verify", str(file)]) == 1
 
