@@ -53,7 +53,7 @@ class Always:
 @pytest.mark.parametrize("upright", [True, False])
 def test_the_outline_of_a_box_is_the_hull_of_its_corners(upright: bool) -> None:
     rng = np.random.default_rng(1)
-    turns = Rotation.random(50, random_state=1).as_matrix()
+    turns = Rotation.random(50, rng=1).as_matrix()
     if upright:
         yaw = Rotation.from_rotvec(rng.uniform(-3, 3, (50, 1)) * [0, 0, 1]).as_matrix()
         swaps = Rotation.create_group("O").as_matrix()[rng.integers(0, 24, 50)]

@@ -136,7 +136,7 @@ def random_poses(
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     Ts = np.zeros((count, 4, 4))
     Ts[:, :3, 3] = shoulder + direction * radius * np.cbrt(rng.random((count, 1)))
-    Ts[:, :3, :3] = Rotation.random(count, random_state=rng).as_matrix()
+    Ts[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
     Ts[:, 3, 3] = 1.0
     return Ts
 
