@@ -68,6 +68,8 @@ def row(label: str, robot: Robot, tasks: list[tuple[str, Task]], config: Pipelin
     """Return one line of the table."""
     reach = load_reach_map(robot, default_cache_dir(), None)
     scenes: dict[str, Scene] = {name: load_scene(name) for name, _ in tasks}
+    alpha = config.importance.alpha
+    assert alpha is not None
     solved, missed, seconds, keys, cost = 0, 0, [], [], 0.0
     for name, task in tasks:
         plan_base_placement(scenes[name], robot, task, reach, config=config)
@@ -85,7 +87,7 @@ def row(label: str, robot: Robot, tasks: list[tuple[str, Task]], config: Pipelin
         label, f"{solved} of {len(tasks)}", str(missed), f"{cost / max(1, solved):.2f} m",
         f"{100 * np.mean([len(k.names) / len(k.scores) for k in keys]):.0f} %",
         f"{np.mean([k.rounds for k in keys]):.2f}",
-        str(sum(k.alpha < config.importance.alpha for k in keys)),
+        str(sum(k.alpha < alpha for k in keys)),
         f"{1e3 * np.median(seconds):.0f} / {1e3 * np.percentile(seconds, 95):.0f} ms",
         f"{1e3 * np.mean(_modeling(tasks, keys)):.0f} ms",
     ]  # fmt: skip

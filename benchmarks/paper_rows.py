@@ -147,8 +147,10 @@ def phrases(answers: Sequence[Answer]) -> list[str]:
     means = [f"{np.mean(times(method)):.2f}" for method in ("paper", ALL_CHECKS)]
     medians_ = [f"{np.median(times(method)):.2f}" for method in ("paper", ALL_CHECKS)]
     door = {name: (rate(m, fridge), rate(m, oven)) for name, m in named.items()}
-    at_fridge = [1000 * np.median(times(method, fridge)) for method in ("habitat", "paper", "m3")]
-    spread = [np.std(times(method)) for method in ("paper", "m3", "reuleaux")]
+    at_fridge = [
+        1000 * float(np.median(times(method, fridge))) for method in ("habitat", "paper", "m3")
+    ]
+    spread = [float(np.std(times(method))) for method in ("paper", "m3", "reuleaux")]
 
     def drive(method: str, group: str) -> float:
         return float(np.mean([a.driving for a in some(method, group) if a.success]))
