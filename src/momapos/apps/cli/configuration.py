@@ -113,8 +113,9 @@ class SearchOptions:
     timeout: TimeoutOption = None
     """Processor time after which the command ends with what is known (default for solve: of each
     search). Compiling kernels, drawing and running in physics do not count."""
-    alpha: AlphaOption = None
-    """Objects of lower importance stay boxes, in [0, 1]."""
+    alpha: Annotated[Number, optional("SCORE")] = None
+    """Objects of lower importance stay boxes, in [0, 1] (default: 0.45 from a scan and in scenes of
+    more than 50 objects, else 0)."""
     seed: int = 0
     """The same seed gives the same plan."""
     allow_assumed: Flag = False
