@@ -257,11 +257,13 @@ def outcome(words: str, path: Path, out: Path) -> str:
     made, refusal = any(out.iterdir()), errors.getvalue().strip()
     if any(not line.isprintable() for line in (shown.getvalue() + refusal).splitlines()):
         return "WRONG: control characters"
-    if status == 2:
+    # The report of a scene that planning refuses stands on the output.
+    checked = words.startswith("scene check") and "error:" in shown.getvalue()
+    if status == 2 and not checked:
         if not refusal or len(refusal.splitlines()) > 1:
             return f"WRONG: refused in {len(refusal.splitlines())} lines: {refusal[:200]!r}"
         return "WRONG: refused, and wrote a file" if made else "refused"
-    if status not in (0, 1, 3, 4):
+    if status not in (0, 1, 3, 4) and not checked:
         return f"WRONG: exit status {status}"
     promised = str(out) in shown.getvalue() or (
         status == 0 and "{1}" in words and not words.startswith("place")
