@@ -180,11 +180,11 @@ def _plan(
     tours = []
     arms = load_arms_with_maps(options.robot, options.arm)
     for robot, reach in zip(*arms, strict=True):
-        config = with_time_left(config, later=TIME_PER_PLAN * len(requests))
+        limited = with_time_left(config, later=TIME_PER_PLAN * len(requests))
         try:
-            with busy(f"{robot.name}: planning", config.timeout):
+            with busy(f"{robot.name}: planning", limited.timeout):
                 tours.append(plan_tour(
-                    scene, robot, requests, reach, region=region, config=config,
+                    scene, robot, requests, reach, region=region, config=limited,
                     start=None if start is None else np.array(start), seed=options.seed,
                 ))  # fmt: skip
         except OutOfTimeError:

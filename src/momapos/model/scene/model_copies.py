@@ -148,12 +148,5 @@ def _moved(model: Articulated, places: Mapping[Path, Path]) -> Articulated:
             return geometry
         return replace(geometry, mesh=places[geometry.mesh])
 
-    links = {
-        name: replace(
-            link,
-            collisions=tuple(map(shape, link.collisions)),
-            visuals=tuple(map(shape, link.visuals)),
-        )
-        for name, link in model.urdf.links.items()
-    }
+    links = {name: link.with_shapes(shape) for name, link in model.urdf.links.items()}
     return replace(model, urdf=replace(model.urdf, path=places[model.urdf.path], links=links))

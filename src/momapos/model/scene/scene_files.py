@@ -223,14 +223,7 @@ def save_model(name: str, urdf: Urdf, folder: Path) -> Path:
             files[shape.mesh] = Path(_write(folder, plain, ".obj", obj_text(shape.mesh)).name)
         return replace(shape, mesh=files[shape.mesh])
 
-    links = {
-        key: replace(
-            link,
-            collisions=tuple(map(saved, link.collisions)),
-            visuals=tuple(map(saved, link.visuals)),
-        )
-        for key, link in urdf.links.items()
-    }
+    links = {key: link.with_shapes(saved) for key, link in urdf.links.items()}
     return _write(folder, plain, ".urdf", urdf_text(replace(urdf, links=links)))
 
 

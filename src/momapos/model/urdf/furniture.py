@@ -141,14 +141,7 @@ def _turned_up(urdf: Urdf, notes: list[str]) -> Urdf:
         T, size = turned_up(item.T_link_geometry, item.size, axis)
         return replace(item, T_link_geometry=T, size=size)
 
-    links = {
-        name: replace(
-            link,
-            collisions=tuple(map(shape, link.collisions)),
-            visuals=tuple(map(shape, link.visuals)),
-        )
-        for name, link in urdf.links.items()
-    }
+    links = {name: link.with_shapes(shape) for name, link in urdf.links.items()}
     if not turned:
         return urdf
     name, axis = next(iter(turned.items()))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -53,6 +54,11 @@ class Link:
     """Mass according to the file [kg]; 0 if it gives none."""
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Center of that mass in the link frame [m]."""
+
+    def with_shapes(self, change: Callable[[Geometry], Geometry]) -> Link:
+        """Return the link with each of its shapes changed."""
+        collisions, visuals = map(change, self.collisions), map(change, self.visuals)
+        return replace(self, collisions=tuple(collisions), visuals=tuple(visuals))
 
 
 @dataclass(frozen=True)
