@@ -73,10 +73,10 @@ def test_what_the_pages_say_of_simulation_is_computed_from_the_rows(
     said = [*rows.simulation_phrases(answers), *rows.simulation_tables(answers)]
     assert len(said) == 6
     assert not [phrase for phrase in said if phrase not in text]
-    asked = {}
+    tasks = {}
     for a in answers:
-        asked.setdefault(a.method, []).append(a.task)
-    assert len({tuple(sorted(tasks)) for tasks in asked.values()}) == 1  # the same tasks for all
+        tasks.setdefault(a.method, []).append(a.task)
+    assert len({tuple(sorted(names)) for names in tasks.values()}) == 1  # the same tasks for all
 
 
 def test_the_shares_of_the_papers_simulation_are_those_of_its_counts() -> None:

@@ -21,7 +21,7 @@ of 4 to 21 objects one search with all models takes less time than two with fewe
 
 
 def initial_selection(query: PlacementQuery, ranked: Importance, motion: TaskMotion) -> Selection:
-    """Return S at the configured alpha, plus the boxes that the part or the robot overlaps."""
+    """Return all objects of a small scene; else S, plus the boxes that part or robot overlap."""
     config = query.config
     few = config.importance.alpha is None and len(ranked.names) <= MODELED_WHOLE
     if few or config.place.method == "exhaustive":

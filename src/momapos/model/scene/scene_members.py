@@ -130,9 +130,9 @@ class SceneEntry(_Strict):
     hypotheses: dict[
         str, Annotated[list[SceneHypothesis], msgspec.Meta(min_length=1, max_length=16)]
     ] = {}
-    """Motions that parts may have, the most probable first, which is that of the URDF, by joint."""
+    """Motions that a part may have, by joint; the first is the most probable and in the URDF."""
     confidence: SceneConfidence | None = None
-    """How sure the scan is that it was made from."""
+    """Confidence of the scan that the model was made from."""
 
 
 class SceneFile(_Strict):

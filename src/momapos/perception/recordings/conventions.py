@@ -194,7 +194,7 @@ def _far_apart(frames: Sequence[Frame]) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, eq=False)
 class DepthSurface:
-    """DepthSurface of one depth image, on a coarse raster."""
+    """Surface of one depth image, on a coarse raster."""
 
     points: Float[np.ndarray, "h w 3"]
     """In the camera's frame [m]."""
