@@ -99,9 +99,9 @@ def opened(browser: Browser, errors: list[str]) -> Iterator[Callable[[str], Tab]
 def until(true: Callable[[], bool], timeout: float = LONG / 1000) -> bool:
     """Wait for a condition on the server, at most for a time [s]."""
     ends = time.monotonic() + timeout
-    while not true() and time.monotonic() < ends:
+    while not (reached := true()) and time.monotonic() < ends:
         time.sleep(0.02)
-    return true()
+    return reached
 
 
 def press(tab: Tab, role: Any, name: str) -> None:
@@ -441,8 +441,13 @@ def test_a_written_page_plays_without_a_network(
             return bool((np.diff(loops) < 0.0).any())
 
         assert until(repeats)
-        shown = np.asarray(Image.open(BytesIO(tab.screenshot())).convert("L"))
-        assert np.percentile(shown[40:200, 100:500], 10) < 200  # not faded to white
+
+        def dark() -> bool:
+            """Return whether a picture shows more than a fade to white."""
+            shown = np.asarray(Image.open(BytesIO(tab.screenshot())).convert("L"))
+            return bool(np.percentile(shown[40:200, 100:500], 10) < 200)
+
+        assert until(dark)
         phases = tab.locator("#mm-phases button")
         names = [one.get_attribute("title") for one in phases.all()]
         assert names[0] == "drive"
