@@ -101,6 +101,8 @@ LEARNING_RATE = 0.1
 NEGATIVE = 3
 """Negative samples per context word [-]."""
 _TABLE = 1 << 17
+_UPDATES = 10_000_000
+"""Updated numbers between two looks at the clock, which take less than 0.1 s [-]."""
 _STEP, _SHIFT = np.uint64(6364136223846793005), np.uint64(33)
 _ODD = np.uint64(1442695040888963407)
 
@@ -148,13 +150,16 @@ def _skip_gram(
     root = np.sqrt(np.bincount(tokens, minlength=count))
     share = np.cumsum(root * np.sqrt(root))
     table = np.searchsorted(share, (np.arange(_TABLE) + 0.5) / _TABLE * share[-1])
-    _train(
-        Text(tokens.astype(np.int64), start.astype(np.int64)),
-        table,
-        Vectors(vectors, np.zeros_like(vectors), np.empty(config.dimensions)),
-        Training(config.window, config.epochs, NEGATIVE, LEARNING_RATE),
-        np.uint64(config.seed),
-    )
+    text = Text(tokens.astype(np.int64), start.astype(np.int64))
+    changed = Vectors(vectors, np.zeros_like(vectors), np.empty(config.dimensions))
+    training = Training(config.window, config.epochs, NEGATIVE, LEARNING_RATE)
+    state, sentences = np.uint64(config.seed), len(start) - 1
+    updates = len(tokens) * config.window * config.dimensions
+    step = max(1, _UPDATES * sentences // updates)
+    for epoch in range(config.epochs):
+        for first in range(0, sentences, step):
+            part = epoch, first, min(first + step, sentences)
+            state = np.uint64(_train(text, table, changed, training, part, state))
     return vectors
 
 
@@ -240,24 +245,33 @@ def _learn(word, company, vectors, table, negative, rate, state):
 
 
 @entry
-def _train(text: Text, table: I1, vectors: Vectors, training: Training, state: np.uint64) -> None:
+def _train(
+    text: Text,
+    table: I1,
+    vectors: Vectors,
+    training: Training,
+    part: tuple[int, int, int],
+    state: np.uint64,
+) -> np.uint64:
+    """Train in an epoch on the sentences from one to before another; return the next state."""
     tokens, start = text
     window, epochs, negative, rate = training
-    seen, total = 0, epochs * len(tokens)
-    for _ in range(epochs):
-        for s in range(len(start) - 1):
-            for here in range(start[s], start[s + 1]):
-                now = rate * max(1.0 - seen / total, 1e-4)
-                seen += 1
-                # The window's width is random, so near words count more often than far ones.
-                state = state * _STEP + _ODD
-                width = 1 + np.int64(state >> _SHIFT) % window
-                first, last = max(start[s], here - width), min(start[s + 1] - 1, here + width)
-                for there in range(first, last + 1):
-                    if there != here:
-                        state = _learn(
-                            tokens[there], tokens[here], vectors, table, negative, now, state
-                        )
+    epoch, first, last = part
+    seen, total = epoch * len(tokens) + start[first], epochs * len(tokens)
+    for s in range(first, last):
+        for here in range(start[s], start[s + 1]):
+            now = rate * max(1.0 - seen / total, 1e-4)
+            seen += 1
+            # The window's width is random, so near words count more often than far ones.
+            state = state * _STEP + _ODD
+            width = 1 + np.int64(state >> _SHIFT) % window
+            begin, end = max(start[s], here - width), min(start[s + 1] - 1, here + width)
+            for there in range(begin, end + 1):
+                if there != here:
+                    state = _learn(
+                        tokens[there], tokens[here], vectors, table, negative, now, state
+                    )
+    return state
 
 
 def cosine(vectors: Float[np.ndarray, "n d"], target: int) -> Float[np.ndarray, " n"]:
