@@ -136,54 +136,54 @@ def _solve(
     config: Configuration,
 ) -> tuple[ScanAnswer, RunRecord | None]:
     """Plan and execute, and write everything but the record."""
-    if options.run:  # a missing package is reported before the work
-        with require("physics"):
-            from momapos.workflows import run_plan  # noqa: F401
-    from momapos.model import with_times
-    from momapos.model.plan_files import write_plan
-    from momapos.perception.recordings import write_cloud
-    from momapos.planning import with_tolerance
-    from momapos.workflows import ScanTask, solve_scan
-
-    from .compile import ANSWER, compile_once
-    from .console import progress
-    from .scan_options import (
-        detector_of,
-        found_in,
-        given_labels,
-        given_models,
-        read,
-        scan_config,
-        tools_for,
-    )
-    from .scan_report import outputs_of, report_to_dict, write_report
-
-    scanning, given = scan_config(options.scan, config.scan), given_models(options.scan)
-    labels, detector = given_labels(options.scan), detector_of(options.scan)
-    files, folders = outputs_of(out / SCENE, pictures=options.pictures)
-    check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
-    name, _, joint = target.partition("/")
-    compile_once(ANSWER)
     # The default limit is for each search: reading a scan may take longer.
-    limit = nullcontext() if options.timeout is None else within_time(config.timeout)
-    with limit, progress("solve") as report:
+    with nullcontext() if options.timeout is None else within_time(config.timeout):
+        if options.run:  # a missing package is reported before the work
+            with require("physics"):
+                from momapos.workflows import run_plan  # noqa: F401
+        from momapos.model import with_times
+        from momapos.model.plan_files import write_plan
+        from momapos.perception.recordings import write_cloud
+        from momapos.planning import with_tolerance
+        from momapos.workflows import ScanTask, solve_scan
+
+        from .compile import ANSWER, compile_once
+        from .console import progress
+        from .scan_options import (
+            detector_of,
+            found_in,
+            given_labels,
+            given_models,
+            read,
+            scan_config,
+            tools_for,
+        )
+        from .scan_report import outputs_of, report_to_dict, write_report
+
+        scanning, given = scan_config(options.scan, config.scan), given_models(options.scan)
+        labels, detector = given_labels(options.scan), detector_of(options.scan)
+        files, folders = outputs_of(out / SCENE, pictures=options.pictures)
+        check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
+        name, _, joint = target.partition("/")
+        compile_once(ANSWER)
 
         def step(what: str, share: float) -> None:
             look()
             report(share, what)
 
-        scan = read(source, options.scan, config.scan)
-        arms, reach = load_arms_with_maps(options.robot, options.arm)
-        if options.timeout is not None:
-            config = with_time_left(config)
-        answer = solve_scan(
-            scan, list(zip(arms, reach, strict=True)),
-            ScanTask(verb, name, joint or None, options.to), out / SCENE,
-            tools=tools_for(scan, options.scan, detector), found=found_in(scan, options.scan),
-            labels=labels, given=given, scanning=scanning, config=config.pipeline,
-            seed=options.seed,
-            progress=step,
-        )  # fmt: skip
+        with progress("solve") as report:
+            scan = read(source, options.scan, config.scan)
+            arms, reach = load_arms_with_maps(options.robot, options.arm)
+            if options.timeout is not None:
+                config = with_time_left(config)
+            answer = solve_scan(
+                scan, list(zip(arms, reach, strict=True)),
+                ScanTask(verb, name, joint or None, options.to), out / SCENE,
+                tools=tools_for(scan, options.scan, detector), found=found_in(scan, options.scan),
+                labels=labels, given=given, scanning=scanning, config=config.pipeline,
+                seed=options.seed,
+                progress=step,
+            )  # fmt: skip
     print_warnings(answer.modeled.warnings)
     data = report_to_dict(answer.modeled, scan, name)
     if options.tolerance:
