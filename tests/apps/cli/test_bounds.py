@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import itertools
 import resource
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -145,6 +149,41 @@ def test_a_command_that_looks_at_no_clock_ends_in_one_line_with_status_4(
 def test_a_search_that_looks_at_no_clock_ends_as_well() -> None:
     with pytest.raises(OutOfTimeError, match="limit of 3 s is over before"), within_time(3.0):
         endless()
+
+
+@pytest.mark.usefixtures("ticking")
+@pytest.mark.parametrize("limit", [within_time, ended_after])
+def test_a_library_that_hides_the_end_of_the_time_and_fails_later_fails_for_lack_of_time(
+    limit: Callable[[float], AbstractContextManager[None]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "hides_interrupts.py").write_text(
+        "while True:\n"
+        "    try:\n"
+        "        import is_not_installed\n"
+        "    except ImportError:\n"
+        "        continue\n"
+        "    except BaseException:\n"
+        "        raise TypeError('a placeholder is no type')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(OutOfTimeError, match="limit of 50 s"), limit(50.0):
+        importlib.import_module("hides_interrupts")
+
+
+def test_a_process_whose_command_is_in_one_long_call_ends_itself_with_status_4() -> None:
+    code = (
+        "import hashlib\n"
+        "from momapos.apps.cli.bounds import counting_from, ended_after\n"
+        "with counting_from(0.0), ended_after(0.01):\n"
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 1_000_000_000)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 4
+    assert done.stderr == "momapos: the time limit of 0.01 s is over; give more --timeout\n"
 
 
 @pytest.mark.usefixtures("ticking")

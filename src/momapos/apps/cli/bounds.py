@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import math
 import os
 import signal
 import sys
@@ -25,10 +26,13 @@ from momapos.core import (
     OutOfTimeError,
     end_limits,
     look,
+    one_line,
     processor_time,
     time_left,
     time_limit,
 )
+
+from .options import EXIT_STATUS
 
 SECONDS, MEMORY = 60.0, 2_000_000_000
 """Limits for checking a robot: processor time [s] and memory [bytes]."""
@@ -42,13 +46,19 @@ class _TooLong(BaseException):
     """Not an `Exception`, so that handlers in libraries don't catch it."""
 
 
-_began: ContextVar[float | None] = ContextVar("processor time at which the command began [s]")
+_OVERTIME = 2.25 * GRACE_PERIOD
+"""Time after its limit at which a process ends itself, because one call goes on and on [s]."""
+_began: ContextVar[tuple[float, bool] | None] = ContextVar("when the command began", default=None)
+"""Processor time [s], and whether the process is there for the command alone."""
 
 
 @contextmanager
 def counting_from(began: float | None) -> Iterator[None]:
-    """Let the time limit of a command count from a processor time [s]; None for now."""
-    token = _began.set(processor_time() if began is None else began)
+    """Let the time limit of a command count from a processor time [s]; None for now.
+
+    A given time means that the process is there for the command alone, so that a limit may end it.
+    """
+    token = _began.set((processor_time() if began is None else began, began is not None))
     try:
         yield
     finally:
@@ -62,9 +72,16 @@ class _LookingImports(MetaPathFinder):
     be active where work goes on after the time is over.
     """
 
+    interrupted = threading.Event()
+    """Set before an import is interrupted."""
+
     def find_spec(self, *_: object) -> None:
         if not _imports_numpy():
-            look()
+            try:
+                look()
+            except OutOfTimeError:
+                self.interrupted.set()
+                raise
 
 
 _IMPORTS = _LookingImports()
@@ -86,7 +103,7 @@ def within_time(seconds: float) -> Iterator[None]:
     Raises:
         OutOfTimeError: It is over.
     """
-    left = _left(seconds)
+    left, alone = _left(seconds)
     error = OutOfTimeError(
         f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"
     )
@@ -96,7 +113,11 @@ def within_time(seconds: float) -> Iterator[None]:
         # known, in twice the grace period.
         return processor_time() - (0.0 if _IMPORTS in sys.meta_path else 2.0 * GRACE_PERIOD)
 
-    with _looking_imports(), _interrupted(left, clock, error):
+    interrupted = threading.Event()
+    with (
+        _looking_imports(interrupted),
+        _interrupted(left, clock, error, interrupted, ends_process=alone),
+    ):
         try:
             with time_limit(left, processor_time):
                 yield
@@ -104,9 +125,10 @@ def within_time(seconds: float) -> Iterator[None]:
             raise error from None
 
 
-def _left(seconds: float) -> float:
-    began = _began.get(None)
-    return seconds if began is None else seconds - (processor_time() - began)
+def _left(seconds: float) -> tuple[float, bool]:
+    """Return the time left to a command [s], and whether it is alone in its process."""
+    began, alone = _began.get() or (processor_time(), False)
+    return seconds - (processor_time() - began), alone
 
 
 @contextmanager
@@ -120,12 +142,14 @@ def ended_after(seconds: float) -> Iterator[None]:
         OutOfTimeError: It is over.
     """
     error = OutOfTimeError(f"the time limit of {seconds:g} s is over; give more --timeout")
-    with _interrupted(_left(seconds), processor_time, error):
+    left, alone = _left(seconds)
+    with _interrupted(left, processor_time, error, ends_process=alone):
         yield
 
 
 @contextmanager
-def _looking_imports() -> Iterator[None]:
+def _looking_imports(interrupted: threading.Event) -> Iterator[None]:
+    _IMPORTS.interrupted = interrupted
     sys.meta_path.insert(0, _IMPORTS)
     try:
         yield
@@ -232,7 +256,14 @@ def _interruptible() -> bool:
 
 
 @contextmanager
-def _interrupted(seconds: float, clock: Clock, error: MomaposError) -> Iterator[None]:
+def _interrupted(
+    seconds: float,
+    clock: Clock,
+    error: MomaposError,
+    interrupted: threading.Event | None = None,
+    *,
+    ends_process: bool = False,
+) -> Iterator[None]:
     """Interrupt the main thread after a time, wherever it is, until the block ends.
 
     Blocks may be nested. In another thread, nothing is interrupted.
@@ -241,28 +272,38 @@ def _interrupted(seconds: float, clock: Clock, error: MomaposError) -> Iterator[
         seconds: Time from now on [s].
         clock: Measures it.
         error: Raised if the time is over.
+        interrupted: Set when the work is interrupted. From then on its errors are consequences:
+            some libraries catch every exception while they import others, and fail later.
+        ends_process: Whether to end the process if a single call goes on after the time is over.
     """
     if not _interruptible():
         yield
         return
+    interrupted = interrupted or threading.Event()
     until, due, done = clock() + seconds, threading.Event(), threading.Event()
+    last = processor_time() + seconds + _OVERTIME if ends_process else math.inf
     before = signal.getsignal(signal.SIGPROF)
 
     def stop(number: int, frame: FrameType | None) -> None:
         if due.is_set() and not done.is_set():
             due.clear()
             if not _imports_numpy():
+                interrupted.set()
                 raise _TooLong(done)
         elif callable(before):
             before(number, frame)
 
     def watch() -> None:
-        period = _PERIOD
-        while not done.wait(period):
-            if clock() > until:
+        nonlocal until
+        while not done.wait(_PERIOD):
+            now = clock()
+            if now > until:
                 due.set()
                 _thread.interrupt_main(signal.SIGPROF)
-                period = GRACE_PERIOD  # to clean up
+                until = now + GRACE_PERIOD  # to clean up
+            if processor_time() > last and not done.is_set():
+                os.write(2, f"momapos: {one_line(str(error))}\n".encode())
+                os._exit(EXIT_STATUS["timeout"])
 
     # A thread, not a system timer: signals may be blocked when the program starts, and a timer
     # fires only once, which is too few if the exception is raised in a destructor.
@@ -273,6 +314,11 @@ def _interrupted(seconds: float, clock: Clock, error: MomaposError) -> Iterator[
         yield
     except _TooLong as late:
         if late.args != (done,):
+            raise
+        done.set()
+        raise error from None
+    except Exception:
+        if not interrupted.is_set():
             raise
         done.set()
         raise error from None
