@@ -42,6 +42,11 @@ def test_importing_momapos_imports_nothing_heavy(tmp_path: Path) -> None:
     assert imported("import momapos", tmp_path)[0] == set()
 
 
+def test_what_reads_and_models_scans_does_not_import_numba(tmp_path: Path) -> None:
+    code = "import momapos.perception.recordings.clouds, momapos.perception.pipeline"
+    assert "numba" not in imported(code, tmp_path)[0]
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -10,26 +10,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from momapos.core import InputError, finite_number, refuse_below
+from momapos.core.compiled import F1, F2, I2, S2, S3, Array, entry, kernel
 from momapos.core.geometry import invert
 from momapos.model.records import Cloud, Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int, UInt8
+    from jaxtyping import Float, Float32, Int
 
 
 TILE = 16  # [px] edge of the tiles by which hidden blocks are found
+Matrix = Annotated[np.ndarray, Array(np.dtype("f8"), 2, readonly=True)]
+BlockNumbers = Annotated[np.ndarray, Array(np.dtype("i4"), 3)]
 
 
-@njit(cache=True)
-def facing_of(
-    depth: Float32[np.ndarray, "h w"], K: Float[np.ndarray, "3 3"], edge: float, grazing: float
-) -> Float32[np.ndarray, "h w"]:
+@entry
+def facing_of(depth: S2, K: Matrix, edge: float, grazing: float) -> np.ndarray:
     """Return the component of the ray to depth 1 along the surface normal at each pixel [-].
 
     It converts a difference of depth to a distance from the surface's plane. It is 0 for unused
@@ -80,18 +80,18 @@ BYTES_PER_VOXEL = 24  # distance, two weights and three colors, four bytes each
 class Field(NamedTuple):
     """The signed distances by block, for the kernels."""
 
-    distance: Float32[np.ndarray, "b v"]
+    distance: S2
     """Signed distance at every voxel of every block [margin], in [-1, 1]."""
-    weight: Float32[np.ndarray, "b v"]
+    weight: S2
     """Accumulated weight; 0 where unknown."""
-    seen: Float32[np.ndarray, "b v"]
+    seen: S2
     """Part of the weight from images with a surface in the voxel."""
-    color: Float32[np.ndarray, "b v 3"]
-    blocks: Int[np.ndarray, "b 3"]
+    color: S3
+    blocks: I2
     """Place of each block in the grid of blocks."""
-    block_at: Int[np.ndarray, "x y z"]
+    block_at: BlockNumbers
     """Block at each place of that grid; -1 if none."""
-    origin: Float[np.ndarray, "3"]
+    origin: F1
     """Corner of that grid in the world [m]."""
     voxel: float
 
@@ -99,13 +99,13 @@ class Field(NamedTuple):
 class FusionImage(NamedTuple):
     """One image for the kernels, with the results of `facing_of` and `deepest_of`."""
 
-    depth: Float32[np.ndarray, "h w"]
+    depth: S2
     """0 where unusable [m]."""
-    facing: Float32[np.ndarray, "h w"]
-    deepest: Float32[np.ndarray, "a b"]
-    color: UInt8[np.ndarray, "h w 3"]
-    K: Float[np.ndarray, "3 3"]
-    T_camera_world: Float[np.ndarray, "4 4"]
+    facing: S2
+    deepest: S2
+    color: Annotated[np.ndarray, Array(np.dtype("u1"), 3, readonly=True)]
+    K: Matrix
+    T_camera_world: Matrix
 
 
 MIN_SEEN_SHARE = 0.1
@@ -174,7 +174,7 @@ def fuse(
     for frame in frames:
         _integrate(field, margin, _look(frame, config))
     field.weight[field.seen < MIN_SEEN_SHARE * field.weight] = 0.0
-    points, normals, colors = _extract(field, np.float32(MIN_WEIGHT))
+    points, normals, colors = _extract(field, MIN_WEIGHT)
     if not len(points):
         raise InputError("the frames agree on no surface; check the poses and the unit of depth")
     return Cloud(points, normals, colors)
@@ -184,7 +184,7 @@ def _empty(
     index: Int[np.ndarray, "x y z"], count: int, origin: Float[np.ndarray, "3"], voxel: float
 ) -> Field:
     where = np.argwhere(index >= 0)
-    where = where[np.argsort(index[tuple(where.T)])]
+    where = np.ascontiguousarray(where[np.argsort(index[tuple(where.T)])])
     distance, weight, seen = np.zeros((3, count, SIDE**3), np.float32)
     color = np.zeros((count, SIDE**3, 3), np.float32)
     return Field(distance, weight, seen, color, where, index, origin, voxel)
@@ -192,10 +192,11 @@ def _empty(
 
 def _look(frame: Frame, config: FusionConfig) -> FusionImage:
     depth = _usable(frame, config)
-    K = np.asarray(frame.intrinsics, float)
+    K = np.ascontiguousarray(frame.intrinsics, float)
     facing = facing_of(depth, K, MAX_DEPTH_STEP, MIN_INCIDENCE)
     T_camera_world = invert(np.asarray(frame.T_world_camera, float))
-    return FusionImage(depth, facing, deepest_of(depth), frame.color, K, T_camera_world)
+    color = np.ascontiguousarray(frame.color, np.uint8)
+    return FusionImage(depth, facing, deepest_of(depth), color, K, T_camera_world)
 
 
 def _usable(frame: Frame, config: FusionConfig) -> Float32[np.ndarray, "h w"]:
@@ -252,18 +253,12 @@ def _samples(frame: Frame, config: FusionConfig, size: float) -> Float[np.ndarra
     return (rays * z[:, None]) @ T[:3, :3].T + T[:3, 3]
 
 
-@njit(cache=True)
-def _mark(
-    index: Int[np.ndarray, "x y z"],
-    points: Float[np.ndarray, "n 3"],
-    low: Float[np.ndarray, "3"],
-    size: float,
-    margin: float,
-) -> int:
+@entry
+def _mark(index: BlockNumbers, points: F2, low: F1, size: float, margin: float) -> int:
     """Number the blocks within `margin` of a point, in place; return their count."""
     count = 0
     for n in range(len(points)):
-        x, y, z = points[n] - low
+        x, y, z = points[n, 0] - low[0], points[n, 1] - low[1], points[n, 2] - low[2]
         for i in range(int((x - margin) / size), int((x + margin) / size) + 1):
             for j in range(int((y - margin) / size), int((y + margin) / size) + 1):
                 for k in range(int((z - margin) / size), int((z + margin) / size) + 1):
@@ -273,14 +268,8 @@ def _mark(
     return count
 
 
-@njit(cache=True)
-def _hidden(
-    center: Float[np.ndarray, "3"],
-    radius: float,
-    margin: float,
-    deepest: Float32[np.ndarray, "a b"],
-    K: Float[np.ndarray, "3 3"],
-) -> bool:
+@kernel
+def _hidden(center, radius, margin, deepest, K):
     """Check that all voxels of a block (in the camera's frame) are outside the image or hidden."""
     z = center[2] - radius
     if z < 0.05:
@@ -297,30 +286,41 @@ def _hidden(
     return z > limit + margin
 
 
-@njit(cache=True, fastmath={"nsz", "arcp", "contract"})
+@kernel
+def _mapped(T, x, y, z):
+    """Map a point by a transform."""
+    return (
+        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
+    )
+
+
+@entry(fastmath={"nsz", "arcp", "contract"})
 def _integrate(field: Field, margin: float, look: FusionImage) -> None:
     """Move the field toward one image's surface, in place; `margin` is the truncation [m]."""
     distance, weight, seen, color = field.distance, field.weight, field.seen, field.color
-    depth, facing, K, T_camera_world = look.depth, look.facing, look.K, look.T_camera_world
+    depth, facing, K, T = look.depth, look.facing, look.K, look.T_camera_world
     voxel, image = field.voxel, look.color
     h, w = depth.shape
-    R = np.ascontiguousarray(T_camera_world[:3, :3])
     size = SIDE * voxel
-    radius = 0.5 * np.sqrt(3.0) * size
+    radius, half = 0.5 * np.sqrt(3.0) * size, 0.5 * (size - voxel)
     for b in range(len(field.blocks)):
-        corner = field.origin + field.blocks[b] * size + 0.5 * voxel
-        start = R @ corner + T_camera_world[:3, 3]
-        middle = R @ (corner + 0.5 * (size - voxel)) + T_camera_world[:3, 3]
+        block = field.blocks[b]
+        cx = field.origin[0] + block[0] * size + 0.5 * voxel
+        cy = field.origin[1] + block[1] * size + 0.5 * voxel
+        cz = field.origin[2] + block[2] * size + 0.5 * voxel
+        start, middle = _mapped(T, cx, cy, cz), _mapped(T, cx + half, cy + half, cz + half)
         if _hidden(middle, radius, margin, look.deepest, K):
             continue
         for i in range(SIDE):
             for j in range(SIDE):
                 for k in range(SIDE):
-                    z = start[2] + voxel * (R[2, 0] * i + R[2, 1] * j + R[2, 2] * k)
+                    z = start[2] + voxel * (T[2, 0] * i + T[2, 1] * j + T[2, 2] * k)
                     if z < 0.05:
                         continue
-                    x = start[0] + voxel * (R[0, 0] * i + R[0, 1] * j + R[0, 2] * k)
-                    y = start[1] + voxel * (R[1, 0] * i + R[1, 1] * j + R[1, 2] * k)
+                    x = start[0] + voxel * (T[0, 0] * i + T[0, 1] * j + T[0, 2] * k)
+                    y = start[1] + voxel * (T[1, 0] * i + T[1, 1] * j + T[1, 2] * k)
                     u = int(np.floor(K[0, 0] * x / z + K[0, 2] + 0.5))
                     v = int(np.floor(K[1, 1] * y / z + K[1, 2] + 0.5))
                     if u < 0 or v < 0 or u >= w or v >= h or facing[v, u] == 0:
@@ -348,11 +348,8 @@ def _integrate(field: Field, margin: float, look: FusionImage) -> None:
                     weight[b, n] = total
 
 
-@njit(cache=True)
-def _lookup(
-    index: Int[np.ndarray, "x y z"], weight: Float32[np.ndarray, "b v"],
-    i: int, j: int, k: int, least: float,
-) -> tuple[int, int]:  # fmt: skip
+@kernel
+def _lookup(index, weight, i, j, k, least):
     """Return block and voxel at a cell of the whole grid; block -1 where unknown."""
     b = index[i // SIDE, j // SIDE, k // SIDE]
     n = ((i % SIDE) * SIDE + j % SIDE) * SIDE + k % SIDE
@@ -361,14 +358,8 @@ def _lookup(
     return b, n
 
 
-@njit(cache=True)
-def _gradient(
-    distance: Float32[np.ndarray, "b v"],
-    weight: Float32[np.ndarray, "b v"],
-    index: Int[np.ndarray, "x y z"],
-    cell: Int[np.ndarray, "3"],
-    least: float,
-) -> Float[np.ndarray, "3"]:
+@kernel
+def _gradient(distance, weight, index, cell, least):
     """Return the slope of the field at a known cell, one-sided where a neighbor is unknown."""
     out = np.zeros(3)
     b0, n0 = _lookup(index, weight, cell[0], cell[1], cell[2], least)
@@ -385,10 +376,8 @@ def _gradient(
     return out
 
 
-@njit(cache=True)
-def _extract(
-    field: Field, least: float
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+@entry
+def _extract(field: Field, least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points where the field changes sign between adjacent cells along x, y or z.
 
     A cell with sign changes along several axes gives their mean; voxels below the weight `least`
@@ -440,8 +429,8 @@ def _extract(
     return points[:count].copy(), normals[:count].copy(), colors[:count].copy()
 
 
-@njit(cache=True)
-def _longer(rows: Float[np.ndarray, "n 3"], room: int) -> Float[np.ndarray, "m 3"]:
+@kernel
+def _longer(rows, room):
     out = np.empty((room, 3))
     out[: len(rows)] = rows
     return out

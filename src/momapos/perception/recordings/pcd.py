@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import Annotated, BinaryIO
 
 import numpy as np
-from numba import njit
 
 from momapos.core import FileFormatError, open_regular
+from momapos.core.compiled import Array, entry
 
 from .ply import MAX_POINTS, Columns, read_rows
-
-if TYPE_CHECKING:
-    from jaxtyping import UInt8
 
 MAX_HEADER_BYTES = 10_000
 MAX_FIELDS = 64
@@ -161,8 +158,11 @@ def _unpacked(packed: np.ndarray) -> Columns:
     }
 
 
-@njit(cache=True)
-def unpack_lzf(data: UInt8[np.ndarray, " n"], out: UInt8[np.ndarray, " m"]) -> int:
+@entry
+def unpack_lzf(
+    data: Annotated[np.ndarray, Array(np.dtype("u1"), 1, readonly=True)],
+    out: Annotated[np.ndarray, Array(np.dtype("u1"), 1)],
+) -> int:
     """Unpack LZF (LibLZF's format): runs of plain bytes, and copies of earlier bytes.
 
     Returns:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from momapos.core.compiled import F1, I1, S2, S3, Array, entry, kernel
 from momapos.core.geometry import UprightBox, along_edges, apply, invert, pose, to_local
 from momapos.model.records import FaceImage, Frame
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Float32, Int, Int16, UInt8
+    from jaxtyping import Float, Float32, UInt8
 
 FACES = 4
 """Upright faces of a box: outward along its x, y, -x, -y."""
@@ -220,15 +220,20 @@ def _shape(face: Face, pixels: int) -> tuple[int, int]:
     return max(8, round(face.height * scale)), max(8, round(face.width * scale))
 
 
+Matrix = Annotated[np.ndarray, Array(np.dtype("f8"), 2, readonly=True)]
+Bytes2 = Annotated[np.ndarray, Array(np.dtype("u1"), 2)]
+Bytes3 = Annotated[np.ndarray, Array(np.dtype("u1"), 3)]
+
+
 class _Photo(NamedTuple):
     """One frame relative to a face, for the kernels."""
 
-    image: UInt8[np.ndarray, "h w 3"]
-    depth: Float32[np.ndarray, "h w"]
+    image: Annotated[np.ndarray, Array(np.dtype("u1"), 3, readonly=True)]
+    depth: Annotated[np.ndarray, Array(np.dtype("f4"), 2, readonly=True)]
     has_depth: bool
     """Whether `depth` was measured; it is not read otherwise."""
-    intrinsics: Float[np.ndarray, "3 3"]
-    T_camera_face: Float[np.ndarray, "4 4"]
+    intrinsics: Matrix
+    T_camera_face: Matrix
 
 
 def _photo(face: Face, frame: Frame) -> _Photo | None:
@@ -236,15 +241,18 @@ def _photo(face: Face, frame: Frame) -> _Photo | None:
     T_camera_face = invert(frame.T_world_camera) @ face.T_world_face
     if T_camera_face[:3, 2] @ T_camera_face[:3, 3] >= 0:
         return None
-    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.depth
-    intrinsics, T = map(np.ascontiguousarray, (frame.intrinsics, T_camera_face))
-    return _Photo(frame.color, depth, frame.depth is not None, intrinsics, T)
+    depth = np.zeros((1, 1)) if frame.depth is None else frame.depth
+    return _Photo(
+        np.ascontiguousarray(frame.color, np.uint8),
+        np.ascontiguousarray(depth, np.float32),
+        frame.depth is not None,
+        np.ascontiguousarray(frame.intrinsics, float),
+        np.ascontiguousarray(T_camera_face, float),
+    )
 
 
-@njit(cache=True)
-def _pixel(
-    photo: _Photo, width: float, height: float, shape: tuple[int, int], i: int, j: int
-) -> tuple[bool, float, float, float, float, float]:
+@kernel
+def _pixel(photo, width, height, shape, i, j):
     """Project a pixel of a face into a photo: whether it is inside, u, v [px], x, y, z [m].
 
     Args:
@@ -266,14 +274,8 @@ def _pixel(
     return there, u, v, px, py, pz
 
 
-@njit(cache=True)
-def _sample(
-    photo: _Photo,
-    width: float,
-    height: float,
-    height_map: Float32[np.ndarray, "h w"],
-    state: UInt8[np.ndarray, "h w"],
-) -> None:
+@entry
+def _sample(photo: _Photo, width: float, height: float, height_map: S2, state: Bytes2) -> None:
     """Sample a photo at every pixel of a face; fills `height_map` and `state`."""
     T, shape = photo.T_camera_face, state.shape
     for i in range(shape[0]):
@@ -292,13 +294,8 @@ def _sample(
                         state[i, j] = HIDDEN
 
 
-@njit(cache=True)
-def _merged(
-    heights: Float32[np.ndarray, "n h w"],
-    states: UInt8[np.ndarray, "n h w"],
-    order: Int[np.ndarray, " m"],
-    weights: Float[np.ndarray, " m"],
-) -> tuple[Float32[np.ndarray, "h w"], Int16[np.ndarray, "h w"]]:
+@entry
+def _merged(heights: S3, states: Bytes3, order: I1, weights: F1) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean height map of a face, and the source frame of each pixel's color, -1 if none.
 
     Args:
@@ -332,14 +329,14 @@ def _merged(
     return height_map, source
 
 
-@njit(cache=True)
+@entry
 def _paint(
     photo: _Photo,
     width: float,
     height: float,
-    source: Int16[np.ndarray, "h w"],
+    source: Annotated[np.ndarray, Array(np.dtype("i2"), 2)],
     index: int,
-    color: UInt8[np.ndarray, "h w 3"],
+    color: Bytes3,
 ) -> None:
     """Color the pixels of a face whose source is this photo; fills `color`."""
     image, shape = photo.image, source.shape
