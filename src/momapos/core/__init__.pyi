@@ -40,6 +40,7 @@ from .files import check_outputs as check_outputs
 from .files import incomplete as incomplete
 from .files import load_tensors as load_tensors
 from .files import open_regular as open_regular
+from .files import parse_json as parse_json
 from .files import parse_xml as parse_xml
 from .files import parse_yaml as parse_yaml
 from .files import read_bytes_bounded as read_bytes_bounded

@@ -190,6 +190,19 @@ def test_invalid_faces_are_ignored(tmp_path: Path, properties: str, row: str) ->
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("lines", [7, 20, 59, 60])
+@pytest.mark.parametrize("write", [FILES["ply ascii"], FILES["pcd ascii"]])
+def test_reading_lines_in_blocks_changes_no_point(
+    tmp_path: Path, table: np.ndarray, write: object, lines: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "cloud"
+    path.write_bytes(write(table) + b"\n1 2\n")
+    whole, _ = read_cloud(path)
+    monkeypatch.setattr(ply, "_LINES", lines)
+    np.testing.assert_array_equal(read_cloud(path)[0].points, whole.points)
+
+
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("write", [FILES["ply ascii"], FILES["pcd ascii"]])
 def test_empty_lines_between_points_are_skipped_without_a_warning(
     tmp_path: Path, table: np.ndarray, write: object

@@ -46,7 +46,7 @@ class _TooLong(BaseException):
     """Not an `Exception`, so that handlers in libraries don't catch it."""
 
 
-_OVERTIME = 2.25 * GRACE_PERIOD
+_OVERTIME = 2.0 * GRACE_PERIOD
 """Time after its limit at which a process ends itself, because one call goes on and on [s]."""
 _began: ContextVar[tuple[float, bool] | None] = ContextVar("when the command began", default=None)
 """Processor time [s], and whether the process is there for the command alone."""
@@ -301,7 +301,7 @@ def _interrupted(
                 due.set()
                 _thread.interrupt_main(signal.SIGPROF)
                 until = now + GRACE_PERIOD  # to clean up
-            if processor_time() > last and not done.is_set():
+            elif processor_time() > last and not done.is_set():
                 os.write(2, f"momapos: {one_line(str(error))}\n".encode())
                 os._exit(EXIT_STATUS["timeout"])
 

@@ -8,7 +8,6 @@ not malice: whoever can write the cache folder can run code as its owner, as wit
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
 import logging
 import os
@@ -25,6 +24,7 @@ import llvmlite.binding as llvm
 
 from momapos.core import forking as forking  # renews the locks of cached properties
 from momapos.core.cache import Cache, content_key, default_cache_dir
+from momapos.core.garbage import no_garbage_collection
 from momapos.core.stopwatch import processor_time
 
 from .kernel_source import KernelSource
@@ -78,7 +78,7 @@ class Store:
         If there are several, a second process compiles them from the last one on.
         """
         missing = [entry for entry in entries if not self._has(entry)]
-        with _no_garbage_collection(), _second_process(missing[:0:-1], self.cache.folder):
+        with no_garbage_collection(), _second_process(missing[:0:-1], self.cache.folder):
             for done, entry in enumerate(missing):
                 report(done, len(missing))
                 self.native(entry)
@@ -107,7 +107,7 @@ class Store:
         from .compiler import compile_entry
 
         log.info("compiling %s", entry.name)
-        with processor_time.stopped(), _no_garbage_collection():
+        with processor_time.stopped(), no_garbage_collection():
             code = compile_entry(entry)
         try:
             self.cache.put(self._key(entry), encode(code))
@@ -166,22 +166,6 @@ def _second_process(entries: Sequence[KernelSource], folder: Path) -> Iterator[N
             yield
         finally:
             process.terminate()
-
-
-@contextlib.contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Disable garbage collection while compiling.
-
-    Among numba's many objects it would take 10 % of the time. The kernels of one answer then take
-    600 MB.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def encode(code: Code) -> bytes:

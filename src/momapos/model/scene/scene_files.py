@@ -25,6 +25,7 @@ from momapos.core import (
     as_path,
     expect,
     keys_of,
+    parse_json,
     read_text_bounded,
     resolved,
     write_atomic,
@@ -303,7 +304,7 @@ def _parse_json(text: str, path: Path) -> Any:
         raise FileFormatError(f"{path}: contains {constant}, which is not a finite number")
 
     try:
-        return json.loads(text.lstrip("\ufeff"), parse_constant=refuse)
+        return parse_json(text, constant=refuse)
     except (json.JSONDecodeError, RecursionError, ValueError) as error:
         raise FileFormatError(f"{path}: invalid JSON ({error})") from error
 

@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from momapos.core import FileFormatError, unknown_name
+from momapos.core import FileFormatError, parse_json, unknown_name
 
 FORMAT = "momapos-scene"
 LIBRARY = Path(__file__).parent / "library"
-MAX_BYTES = 50_000_000
+MAX_BYTES = 20_000_000
 _SUFFIXES = (".json", ".urdf", ".xml")
 
 
@@ -81,6 +81,6 @@ def _glance(path: Path) -> Any:
     try:
         if path.stat().st_size > MAX_BYTES:
             return None
-        return json.loads(path.read_text(encoding="utf-8", errors="replace").lstrip("\ufeff"))
+        return parse_json(path.read_text(encoding="utf-8", errors="replace"))
     except (OSError, ValueError, RecursionError):
         return None

@@ -14,7 +14,6 @@ for COCO 1 to 90 with gaps. Omni3D's evaluator adds the corners of a 3-D box in 
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
@@ -23,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core import FileFormatError, read_bytes_bounded
+from momapos.core import FileFormatError, parse_json, read_text_bounded
 from momapos.model.records import Frame, ImageDetection
 
 COCO80: tuple[str, ...] = (
@@ -134,7 +133,7 @@ def _runs(text: str) -> list[int]:
     return runs
 
 
-MAX_BYTES = 200_000_000
+MAX_BYTES = 50_000_000
 """Larger files are refused [B]: a dataset file lists all its images."""
 MAX_NAME = 100
 """Maximum length of a name [-]."""
@@ -188,7 +187,7 @@ def read_json(path: Path) -> Any:
         FileFormatError: It is missing, too large or damaged.
     """
     try:
-        return json.loads(read_bytes_bounded(path, MAX_BYTES))
+        return parse_json(read_text_bounded(path, MAX_BYTES))
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: not JSON ({error})") from error
 

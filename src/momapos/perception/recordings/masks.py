@@ -9,7 +9,6 @@ as JSON. The format is detected from the content.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -22,6 +21,7 @@ from momapos.core import (
     load_array,
     load_tensors,
     open_regular,
+    parse_json,
     read_bytes_bounded,
     resolved,
 )
@@ -244,7 +244,7 @@ def _boxes(path: Path) -> list[Instance]:
         raise ValueError(f"it has {constant}")
 
     try:
-        data = json.loads(_text(path, MAX_LIST_BYTES).lstrip("\ufeff"), parse_constant=refuse)
+        data = parse_json(_text(path, MAX_LIST_BYTES), constant=refuse)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: damaged JSON ({error})") from error
     if data.get("format") != FORMAT or data.get("version") != VERSION:
