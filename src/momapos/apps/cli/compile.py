@@ -71,16 +71,6 @@ WALKS = (
     "momapos.planning.importance.scorers._walk",
 )
 """Further kernels for the scores of walks."""
-SCAN = (
-    "momapos.perception.fusion.tsdf._extract",
-    "momapos.perception.fusion.tsdf._integrate",
-    "momapos.perception.fusion.tsdf._mark",
-    "momapos.perception.fusion.tsdf.facing_of",
-    "momapos.perception.views.faces._merged",
-    "momapos.perception.views.faces._paint",
-    "momapos.perception.views.faces._sample",
-)
-"""Kernels for images with depth."""
 
 
 def rank_kernels(config: ImportanceConfig) -> tuple[str, ...]:

@@ -180,7 +180,6 @@ def scan_room(
     from momapos.core import check_outputs
     from momapos.workflows import scan_to_scene
 
-    from .compile import SCAN, compile_once
     from .console import progress
     from .scan_report import outputs_of
 
@@ -199,7 +198,6 @@ def scan_room(
     check_outputs(*outputs_of(out, pictures=pictures))
     scan = read(source, options, configuration.scan)
     tools, found = tools_for(scan, options, detector), found_in(scan, options)
-    compile_once(SCAN)
     with progress("scan") as report:
         result = scan_to_scene(
             scan, out, tools, target=wanted, found=found, labels=labels, given=given,

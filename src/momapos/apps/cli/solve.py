@@ -147,7 +147,7 @@ def _solve(
         from momapos.planning import with_tolerance
         from momapos.workflows import ScanTask, solve_scan
 
-        from .compile import ANSWER, SCAN, compile_once
+        from .compile import ANSWER, compile_once
         from .console import progress
         from .scan_options import (
             detector_of,
@@ -165,7 +165,7 @@ def _solve(
         files, folders = outputs_of(out / SCENE, pictures=options.pictures)
         check_outputs([*files, out / CLOUD, out / PLAN, out / RUN, out / RECORD], folders)
         name, _, joint = target.partition("/")
-        compile_once((*ANSWER, *SCAN))
+        compile_once(ANSWER)
 
         def step(what: str, share: float) -> None:
             look()
