@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,7 @@ from momapos.model.collision.collision_world import check
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion import arm_path
-from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, PathGraph, find_paths
+from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, find_paths
 from momapos.planning.arm_motion.hand_clearance import arm_spheres
 from momapos.planning.arm_motion.ik_layers import Layers, solve_layers
 from momapos.planning.config import PipelineConfig
@@ -69,8 +68,8 @@ def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Laye
     assert ((counts > 0) == (found.counts > 0)).all()
     first = (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
     kept = which[free]
-    return replace(
-        found, q=found.q[kept], grasps=found.grasps[kept], checked=np.ones(len(kept), bool),
+    return found._replace(
+        q=found.q[kept], grasps=found.grasps[kept], checked=np.ones(len(kept), bool),
         first=first, counts=counts,
     )  # fmt: skip
 
@@ -101,19 +100,16 @@ def test_a_path_avoids_configurations_that_collide(
     """Without this test, nobody would notice if the lazy checks were skipped."""
     ready = _prepared(robot, "microwave", "door_hinge")
     bases, modes = _base_poses(ready, 120)
-    rejected = 0
-    search = PathGraph.shortest_free_path
+    find = partial(find_paths, robot, ready.world, ready.motion, bases, modes)
+    paths = find({})
 
-    def counted(graph: PathGraph) -> tuple[int, np.ndarray]:
-        nonlocal rejected
-        banned = graph.banned.sum()
-        found = search(graph)
-        rejected += graph.banned.sum() - banned
-        return found
+    def unchecked(*args: object) -> Layers:
+        found = solve_layers(*args)  # type: ignore[arg-type]
+        return found._replace(checked=np.ones(len(found.checked), bool))
 
-    monkeypatch.setattr(PathGraph, "shortest_free_path", counted)
-    paths = find_paths(robot, ready.world, ready.motion, bases, modes, {})
-    assert rejected > 0
+    monkeypatch.setattr(arm_path, "solve_layers", unchecked)
+    pairs = zip(paths, find({}), strict=True)
+    assert any(path.status != HIT == careless.status for path, careless in pairs)
     motion = ready.motion
     for base, path in zip(bases, paths, strict=True):
         if path.q is not None:
@@ -122,6 +118,27 @@ def test_a_path_avoids_configurations_that_collide(
                 np.tile(base, (len(path.q), 1)), motion.value, motion.holding,
             )  # fmt: skip
             assert (codes == FREE).all()
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_batch_gives_what_its_jobs_give_alone(robot: Robot, *, moves: bool) -> None:
+    ready = _prepared(robot, "fridge", "door_hinge")
+    bases, modes = _base_poses(ready, 60)
+    if moves:
+        share = np.linspace(0.0, 0.1, len(ready.motion.value))[:, None]
+        bases = bases[:, None] + share * np.array([-1.0, 0.5, 0.0])
+
+    def hits_late(poses: np.ndarray, value: np.ndarray) -> np.ndarray:
+        return np.where(value > len(poses) // 2, 0, FREE)
+
+    find = partial(find_paths, robot, ready.world, ready.motion)
+    find = partial(find, stands=hits_late if moves else None)
+    every = find(bases, modes, {})
+    assert len({path.status for path in every}) > 1
+    for j, path in enumerate(every):
+        (alone,) = find(bases[j : j + 1], modes[j : j + 1], {})
+        assert alone.status == path.status
+        np.testing.assert_equal(vars(alone), vars(path))
 
 
 def test_a_failed_path_reports_waypoint_and_obstacle(robot: Robot) -> None:

@@ -20,7 +20,9 @@ from .hand_clearance import collision_free_grasps as collision_free_grasps
 from .hand_clearance import enclosed_by as enclosed_by
 from .ik_layers import DrivingArm as DrivingArm
 from .ik_layers import TaskLoads as TaskLoads
+from .ik_layers import layer_jobs as layer_jobs
 from .ik_layers import solve_layers as solve_layers
+from .ik_layers import task_arrays as task_arrays
 from .payload import boxes_near_base as boxes_near_base
 from .payload import boxes_near_swept_volume as boxes_near_swept_volume
 from .payload import carrying_states as carrying_states

@@ -1,265 +1,245 @@
 """Find a continuous arm path over the waypoints: all IK branches, a graph search, a dense check.
 
 Most configurations end up on no path. The search takes unchecked configurations for free and checks
-those of its path. If one collides, it checks all others and searches again, which is faster than to
-search after every collision.
+those of its path. If one collides, it checks all others that are reached and searches again, which
+is faster than to search after every collision.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from momapos.core.compiled import B1, F1, F2, F3, I1, I2, entry, kernel
+from momapos.core.compiled import B1, F1, F2, F3, F4, I1, I2, entry, kernel
 from momapos.core.geometry import invert, pose_planar
-from momapos.model.collision import (
-    FREE,
-    CollisionWorld,
-    check,
-    check_one,
-    collision_arrays,
-    scratch_of,
-)
+from momapos.model.collision import FREE, CollisionWorld, check_one, scratch_of
 from momapos.model.kinematics import (
     EXACT,
     ArmArrays,
-    ChainArrays,
-    CollisionArrays,
+    ArmScratch,
     NewtonRule,
     TaskState,
     arm_arrays,
-    chain_arrays,
+    load_excess,
+    load_scratch,
     newton,
     newton_scratch,
+    state_loads,
 )
 from momapos.model.records import PoseOutcome
+from momapos.model.robots import RobotLoads, robot_loads
 from momapos.planning.grasps import TaskMotion
 
-from .hand_clearance import arm_spheres, hand_hits_along
+from .hand_clearance import hand_hits_along
 from .ik_layers import (
     CUT_OFF,
     MAX_STEP,
     NOWHERE,
     ArmModel,
+    Jobs,
     Layers,
-    TaskLoads,
-    full_turns,
+    TaskArrays,
     hand_poses,
     joint_scale,
     joint_step,
+    layer_jobs,
+    load_in_base,
     robot_of,
+    slide,
     solve_layers,
     split_states,
     standing_arm,
+    task_arrays,
 )
 from .ik_layers import OVERLOADED as OVERLOADED_LAYER
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
 
 
 MAX_TURN = float(np.radians(25.0))
 """Largest turn of the hand about a bar between waypoints [rad]."""
+_TURN_SCALE = MAX_STEP / MAX_TURN
+"""Weight of that turn in a step [rad/rad]."""
+_ROUNDING = 1e-9
+"""More than the rounding errors of sums of steps [rad]."""
 
 
-class _Nodes(NamedTuple):
-    """The configurations of a job, waypoint by waypoint."""
+UNCHECKED, CHECKED, BANNED = 0, 1, 2
+"""States of a configuration at a waypoint: not checked for collision, free, or on no path."""
 
-    states: F2
-    """Joint values, and the turn of the hand as one more joint."""
-    q: F2
-    """Values of all degrees of freedom, slides of the base first."""
-    bases: F2
-    arm_q: F2
-    """The base pose at each, and the state of the arm on it."""
-    first: I1
-    """First index of each waypoint's nodes, and their number."""
-    lane: I2
+
+class _Graph(NamedTuple):
+    """The search in the configurations of one job, waypoint by waypoint."""
+
+    start: I1
+    """First node of each waypoint, and the number of nodes."""
     row: I1
-    """See `TaskMotion.lanes`."""
-    checked: B1
-    """Which nodes were checked for collision; updated."""
-    banned: B1
-    """Which nodes are excluded; updated."""
-
-
-class _Steps(NamedTuple):
-    """How to measure steps between states, see `joint_step`."""
-
-    full_turn: B1
-    scale: F1
-
-
-class _Moments(NamedTuple):
-    """The state of the task at each waypoint."""
-
-    value: I1
-    holding: B1
-
-
-@dataclass(frozen=True, eq=False)
-class PathGraph:
-    """The configurations of one job: a grasp mode at a base pose."""
-
-    nodes: _Nodes
-    grasps: Int[np.ndarray, " m"]
-    """The grasp of each node."""
-    steps: _Steps
-    moments: _Moments
-    chain: ChainArrays
-    room: CollisionArrays
-
-    @classmethod
-    def of(
-        cls,
-        robot: ArmModel,
-        world: CollisionWorld,
-        motion: TaskMotion,
-        base: Float[np.ndarray, "*d 3"],
-        layers: Layers,
-        job: int,
-    ) -> PathGraph:
-        """Return the graph of a job with configurations at all waypoints.
-
-        Args:
-            robot, world, motion: Arm, obstacles and task motion.
-            base: Base pose x [m], y [m], yaw [rad], or one at every step of the motion.
-            layers: The configurations of all jobs.
-            job: The index of this one.
-        """
-        layer_of, (lanes, row) = motion.layer_of, motion.lanes
-        counts = layers.counts[job, layer_of]
-        first = np.append(0, np.cumsum(counts))
-        begin = layers.first[job, layer_of] - first[:-1]
-        which = np.arange(first[-1]) + np.repeat(begin, counts)
-        q, grasps, checked = (x[which] for x in (layers.q, layers.grasps, layers.checked))
-        chain, step = robot.chain, motion.waypoint_steps
-        at = base if base.ndim == 1 else base[np.repeat(step, counts)]
-        bases, arm_q = map(np.ascontiguousarray, split_states(robot, at, q))
-        return cls(
-            _Nodes(
-                np.column_stack([q, motion.turning.angles[grasps]]), q, bases, arm_q, first,
-                np.ascontiguousarray(lanes[:, grasps]), row, checked, np.zeros(len(q), bool),
-            ),
-            grasps,
-            _Steps(
-                np.append(full_turns(chain), False),
-                np.append(joint_scale(chain), MAX_STEP / MAX_TURN),
-            ),
-            _Moments(motion.value[step], motion.holding[step]),
-            chain_arrays(standing_arm(robot).chain),
-            collision_arrays(arm_spheres(robot_of(robot)), world),
-        )  # fmt: skip
-
-    @property
-    def banned(self) -> Bool[np.ndarray, " m"]:
-        """Nodes that are on no path; may be extended."""
-        return self.nodes.banned
-
-    def shortest_free_path(self) -> tuple[int, Int[np.ndarray, " w"]]:
-        """Return the number of waypoints reached and, if that is all, the node at each."""
-        chosen = np.full(len(self.moments.value), -1)
-        args = self.nodes, self.steps, self.moments, self.chain, self.room, chosen
-        return int(_shortest_free_path(*args)), chosen
+    """The configuration of the first node of each waypoint."""
+    cost: F1
+    """Smallest sum of steps from the first waypoint to each node."""
+    parent: I1
+    """The node before it on that path, or -1."""
+    here: F1
+    """Scratch: a base pose."""
+    scratch: ArmScratch
 
 
 @kernel
-def _extend(nodes, steps, begin, cost, parent):
-    """Search the path with the smallest sum of steps to each node of the layers from one on.
+def _graph_of(j, layers, task):
+    """Return the graph of a job, not searched."""
+    layer = task.course.layer
+    start, row = np.zeros(len(layer) + 1, np.int64), np.empty(len(layer), np.int64)
+    for w in range(len(layer)):
+        start[w + 1] = start[w] + layers.counts[j, layer[w]]
+        row[w] = layers.first[j, layer[w]]
+    scratch = scratch_of(len(task.standing.chain.slides), task.room.spheres)
+    cost, parent = np.empty(start[-1]), np.empty(start[-1], np.int64)
+    return _Graph(start, row, cost, parent, np.empty(3), scratch)
 
-    A step connects states of the same lane, by the lanes in the layer's row. Return the number of
-    layers reached.
+
+@kernel
+def _extend(graph, begin, layers, task, states):
+    """Search the path with the smallest sum of steps to each node of the waypoints from one on.
+
+    A step connects states of the same lane, by the lanes in the waypoint's row. Return the number
+    of waypoints reached.
     """
-    start, banned, lane, row = nodes.first, nodes.banned, nodes.lane, nodes.row
+    start, row, cost, parent = graph.start, graph.row, graph.cost, graph.parent
+    course, steps, grasps = task.course, task.steps, layers.grasps
     for i in range(start[begin], len(cost)):
         cost[i], parent[i] = np.inf, -1
-        if i < start[1] and not banned[i]:
-            cost[i] = 0.0
-    for w in range(max(begin, 1), len(start) - 1):
+    if begin == 0:
+        for i in range(start[1]):
+            if states[course.again[0], row[0] + i] != BANNED:
+                cost[i] = 0.0
+    for w in range(max(begin, 1), len(row)):
         any_reached = False
+        lane, offset = course.lanes[course.row[w]], row[w - 1] - start[w - 1]
         for i in range(start[w], start[w + 1]):
-            if banned[i]:
+            one = row[w] + i - start[w]
+            if states[course.again[w], one] == BANNED:
                 continue
+            grasp, best, before = grasps[one], np.inf, -1
             for j in range(start[w - 1], start[w]):
-                if cost[j] >= cost[i] or lane[row[w], i] != lane[row[w], j]:
+                # A longer step is not better, up to rounding.
+                most = min(MAX_STEP, best - cost[j] + _ROUNDING)
+                if most <= 0.0:
                     continue
-                d = joint_step(
-                    nodes.states[j], nodes.states[i], steps.full_turn, steps.scale, MAX_STEP
-                )
-                if d < MAX_STEP and cost[j] + d < cost[i]:
-                    cost[i], parent[i] = cost[j] + d, j
-                    any_reached = True
+                other = grasps[j + offset]
+                d = 0.0
+                if other != grasp:
+                    if lane[grasp] != lane[other]:
+                        continue
+                    d = _TURN_SCALE * abs(course.angles[grasp] - course.angles[other])
+                if d < most:
+                    q = layers.q[j + offset]
+                    d = max(d, joint_step(q, layers.q[one], steps.full_turn, steps.scale, most))
+                    if d < MAX_STEP and cost[j] + d < best:
+                        best, before = cost[j] + d, j
+            cost[i], parent[i] = best, before
+            any_reached |= before >= 0
         if not any_reached:
             return w
-    return len(start) - 1
+    return len(row)
 
 
 @kernel
-def _trace(start, cost, parent, chosen):
-    """Fill in the nodes of the cheapest path to the last layer."""
-    layers = len(start) - 1
-    best = start[layers - 1]
-    for i in range(start[layers - 1], start[layers]):
+def _trace(graph, chosen):
+    """Fill in the configurations of the cheapest path to the last waypoint."""
+    start, cost = graph.start, graph.cost
+    last = len(graph.row) - 1
+    best = start[last]
+    for i in range(start[last], start[last + 1]):
         if cost[i] < cost[best]:
             best = i
-    for w in range(layers - 1, -1, -1):
-        chosen[w] = best
-        best = parent[best]
+    for w in range(last, -1, -1):
+        chosen[w] = graph.row[w] + best - start[w]
+        best = graph.parent[best]
 
 
 @kernel
-def _collides(i, w, nodes, moments, chain, room, scratch):
-    """Check a node of a layer, if it was not checked before; ban it if it collides."""
-    if nodes.checked[i]:
+def _collides(graph, w, row, base, layers, task, states):
+    """Check a configuration at a waypoint, if it was not checked before; ban it if it collides."""
+    course, standing = task.course, task.standing
+    if states[course.again[w], row] != UNCHECKED:
         return False
-    nodes.checked[i] = True
-    state = TaskState(moments.value[w], moments.holding[w])
-    if check_one(nodes.arm_q[i], nodes.bases[i], state, chain, room, scratch) == FREE:
+    states[course.again[w], row] = CHECKED
+    step, q = course.waypoints[w], layers.q[row]
+    slide(q, base[min(step, len(base) - 1)], standing, graph.here)
+    state, own = TaskState(course.value[step], course.holding[step]), q[len(standing.slides) :]
+    if check_one(own, graph.here, state, standing.chain, task.room, graph.scratch) == FREE:
         return False
-    nodes.banned[i] = True
+    states[course.again[w], row] = BANNED
     return True
 
 
-@entry
-def _shortest_free_path(
-    nodes: _Nodes,
-    steps: _Steps,
-    moments: _Moments,
-    chain: ChainArrays,
-    room: CollisionArrays,
-    chosen: I1,
-) -> int:
-    """Fill in the nodes of the path; return the number of layers reached."""
-    start, layers = nodes.first, len(nodes.first) - 1
-    cost, parent = np.empty(len(nodes.q)), np.empty(len(nodes.q), np.int64)
-    reached = _extend(nodes, steps, 0, cost, parent)
-    if reached < layers:
-        return reached
-    _trace(start, cost, parent, chosen)
-    scratch, begin = scratch_of(len(chain.slides), room.spheres), layers
-    for w in range(layers):
-        if _collides(chosen[w], w, nodes, moments, chain, room, scratch):
-            begin = min(begin, w)
-    if begin == layers:
-        return layers
-    for w in range(layers):
-        for i in range(start[w], start[w + 1]):
-            if _collides(i, w, nodes, moments, chain, room, scratch):
-                begin = min(begin, w)
-    reached = _extend(nodes, steps, begin, cost, parent)
-    if reached == layers:
-        _trace(start, cost, parent, chosen)
+@kernel
+def _shortest_path(j, base, layers, task, states, collided, chosen):
+    """Fill in the configurations of a job's path; return the number of waypoints reached."""
+    graph = _graph_of(j, layers, task)
+    count = len(graph.row)
+    reached = begin = _extend(graph, 0, layers, task, states)
+    if reached == count:
+        _trace(graph, chosen)
+        for w in range(count):
+            if _collides(graph, w, chosen[w], base, layers, task, states):
+                begin, collided[j] = min(begin, w), True
+    if begin < count and collided[j]:
+        begin = min(begin, _check_reached(graph, base, layers, task, states))
+        reached = _extend(graph, begin, layers, task, states)
+        if reached == count:
+            _trace(graph, chosen)
     return reached
+
+
+@kernel
+def _check_reached(graph, base, layers, task, states):
+    """Check all configurations with a path to them; return the first waypoint of a collision."""
+    begin = len(graph.row)
+    for w in range(len(graph.row)):
+        for i in range(graph.start[w], graph.start[w + 1]):
+            one = graph.row[w] + i - graph.start[w]
+            if graph.cost[i] < np.inf and _collides(graph, w, one, base, layers, task, states):
+                begin = min(begin, w)
+    return begin
+
+
+@entry
+def _shortest_paths(
+    left: I1, jobs: Jobs, layers: Layers, task: TaskArrays, states: I2, collided: B1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the shortest free path of some jobs that have configurations in all layers.
+
+    Args:
+        left: Indices of these jobs (k,).
+        jobs, layers, task: All jobs.
+        states: State of each configuration at each of its waypoints; updated.
+        collided: Whether a path of each job collided; updated.
+
+    Returns:
+        The number of waypoints reached (k,) and, if that is all, the configuration at each (k, w).
+    """
+    reached = np.empty(len(left), np.int64)
+    chosen = np.full((len(left), len(task.course.waypoints)), -1)
+    for i in range(len(left)):
+        j = left[i]
+        reached[i] = _shortest_path(j, jobs.bases[j], layers, task, states, collided, chosen[i])
+    return reached, chosen
 
 
 BaseCodes: TypeAlias = "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], np.ndarray]"
 """Returns what the base hits at poses, given the index of the part's value at each, as a code."""
-HandCodes: TypeAlias = "dict[int, Int[np.ndarray, ' d']]"
-"""Collision codes of the hand at every step of a motion, by grasp; for grasps that do not turn."""
+HandHits: TypeAlias = "dict[int, tuple[int, int]]"
+"""The first step of a motion at which the hand hits something, and its code, by grasp; for grasps
+that do not turn."""
 UNREACHABLE, HIT, BROKEN, FOUND, OVERLOADED = 0, 1, 2, 3, 4
+TRIES = 4
+"""Number of paths of a job that are filled densely and checked [-]."""
 MAX_DENSE_STEP = 0.25
 """Largest joint step between states [rad]; see `PRISMATIC_SCALE` for prismatic joints."""
 
@@ -292,120 +272,96 @@ def find_paths(
     motion: TaskMotion,
     bases: Float[np.ndarray, "j *d 3"],
     modes: Int[np.ndarray, " j"],
-    hand: HandCodes,
+    hand: HandHits,
     stands: BaseCodes | None = None,
 ) -> list[ArmPath]:
     """Search an arm path for each pair of base pose, or base path, and grasp mode.
 
     A grasp mode is the index of a grasp or, after those, of a group of grasps between which the
-    hand turns. Waypoints that fail most, the ends and the middle, are solved first; a pair ends at
-    its first failure.
+    hand turns. A pair ends at its first layer without configurations. Otherwise its shortest path
+    through the waypoints is filled densely and checked, up to `TRIES` times.
 
     Args:
         robot, world, motion: Arm, obstacles and task motion.
         bases: Base poses, each for the whole motion or one for every step of it.
         modes: The grasp mode at each.
-        hand: Cache of the hand's collision codes, which is extended.
+        hand: Cache of the hand's first hits, which is extended.
         stands: What a base that moves hits; None for base poses that stand clear.
     """
-    waypoint_of = np.unique(motion.layer_of, return_index=True)[1]
-    order = np.array(_ends_first(len(waypoint_of)))
-    layers = solve_layers(
-        robot, world, motion, bases, motion.turning.members(modes), waypoint_of, order
-    )
-    loads = TaskLoads(robot_of(robot), motion)
-    return [
-        _connect(
-            robot,
-            world,
-            loads,
-            bases[j],
-            PathGraph.of(robot, world, motion, bases[j], layers, j),
-            hand,
-            stands,
-        )
-        if passed == len(order)
-        else _failure(layers, j, int(order[passed]), loads)
+    task, jobs = task_arrays(motion, robot, world), layer_jobs(robot, motion, bases, modes)
+    layers, course = solve_layers(jobs, task), task.course
+    number, count = course.layer, len(course.layer)
+    loads = robot_loads(robot_of(robot))
+    last = len(course.order)
+    paths = [
+        ArmPath(BROKEN, 0, count, FREE)
+        if passed == last
+        else _failure(layers, j, int(course.order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
     ]
+    left = np.flatnonzero(layers.passed == last)
+    if not len(left):
+        return paths
+    states = np.tile(layers.checked.astype(np.int64), (course.again.max() + 1, 1))
+    collided, Ts_base_world = np.zeros(len(paths), bool), invert(pose_planar(jobs.bases))
+    for _ in range(TRIES):
+        reached, chosen = _shortest_paths(left, jobs, layers, task, states, collided)
+        for j, waypoints in zip(left.tolist(), reached.tolist(), strict=True):
+            if waypoints < count and paths[j].status == BROKEN:
+                paths[j] = ArmPath(BROKEN, int(number[waypoints]), count, FREE)
+        left, chosen = left[reached == count], chosen[reached == count]
+        if not len(left):
+            break
+        grasps = layers.grasps[chosen]
+        tools = np.stack([motion.tool_poses(one) for one in grasps])
+        dense, failed, hits, codes, refused, excess, where = _fill_paths(
+            left, chosen, Ts_base_world[left] @ tools, jobs, layers, task
+        )
+        again = []
+        for i, j in enumerate(left.tolist()):
+            bad = int(failed[i])
+            if bad < 0:
+                filled = _Filled(robot, world, motion, bases[j], dense[i], tools[i], grasps[i])
+                hit, code = int(hits[i]), int(codes[i])
+                base_hits = False
+                if hit == len(dense[i]):
+                    hit, code = filled.hand_hit(hand)
+                if hit == len(dense[i]) and stands is not None:
+                    base_hits = True
+                    hit, code = _first_hit(stands(filled.split[0], motion.value))
+                bad = min(hit, int(refused[i]))
+                if bad == len(dense[i]):
+                    moved = None if stands is None else filled.split[0]
+                    paths[j] = ArmPath(FOUND, count, count, FREE, filled.split[1], moved)
+                    continue
+                waypoint = int(number[np.searchsorted(course.waypoints, bad)])
+                if bad == hit:
+                    paths[j] = ArmPath(HIT, waypoint, count, code, base_hits=base_hits)
+                else:
+                    overload = loads.outcome(
+                        int(where[i]), float(excess[i]), waypoint_name(waypoint)
+                    )
+                    paths[j] = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)
+            # Banning the configuration after the failure forces another path.
+            at = min(int(np.searchsorted(course.waypoints, bad)), count - 1)
+            states[course.again[at], chosen[i, at]] = BANNED
+            again.append(j)
+        if not again:
+            break
+        left = np.array(again)
+    return paths
 
 
-def _failure(layers: Layers, job: int, waypoint: int, loads: TaskLoads) -> ArmPath:
-    """Return the failure of a job that has no configuration at a waypoint."""
+def _failure(layers: Layers, job: int, layer: int, loads: RobotLoads) -> ArmPath:
+    """Return the failure of a job that has no configuration in a layer."""
     code, passed = int(layers.codes[job]), int(layers.passed[job])
     if code == CUT_OFF:
-        return ArmPath(BROKEN, waypoint, passed, FREE)
+        return ArmPath(BROKEN, layer, passed, FREE)
     if code == OVERLOADED_LAYER:
         where, excess = int(layers.where[job]), float(layers.excess[job])
-        overload = loads.limits.outcome(where, excess, waypoint_name(waypoint))
-        return ArmPath(OVERLOADED, waypoint, passed, FREE, overload=overload)
-    return ArmPath(UNREACHABLE if code == NOWHERE else HIT, waypoint, passed, code)
-
-
-def _ends_first(count: int) -> list[int]:
-    """Order range(count): grasp, last, first, then by bisection."""
-    order, stride = [1, count - 1, 0], count - 1
-    order = list(dict.fromkeys(order))
-    while stride > 1:
-        stride = (stride + 1) // 2
-        order += [i for i in range(0, count, stride) if i not in order]
-    return order
-
-
-def _connect(
-    robot: ArmModel,
-    world: CollisionWorld,
-    loads: TaskLoads,
-    base: np.ndarray,
-    graph: PathGraph,
-    hand: HandCodes,
-    stands: BaseCodes | None,
-) -> ArmPath:
-    """Find the shortest path through the waypoints of one job, fill it densely, and check it."""
-    chain, grasps, motion = robot.chain, graph.grasps, loads.motion
-    standing = standing_arm(robot)
-    full_turn, scale = full_turns(chain), joint_scale(chain)
-    count, number = len(motion.layer_of), motion.layer_of
-    worst = ArmPath(BROKEN, 0, count, FREE)
-    for _ in range(4):
-        reached, chosen = graph.shortest_free_path()
-        if reached < count:
-            if worst.status != BROKEN:
-                return worst
-            return ArmPath(BROKEN, int(number[reached]), count, FREE)
-        q = _unwrap(graph.nodes.q[chosen], full_turn, chain.lower, chain.upper)
-        tools = motion.tool_poses(grasps[chosen])
-        targets = invert(pose_planar(base)) @ tools
-        dense = np.empty((len(motion.object_q), chain.size))
-        arm = arm_arrays(chain, robot.ik)
-        bad = _track(q, motion.waypoint_steps, targets, arm, scale, dense)
-        if bad < 0:
-            here, own = split_states(robot, base, dense)
-            codes = check(
-                world, standing.chain, arm_spheres(robot_of(robot)), own, here,
-                motion.value, motion.holding,
-            )  # fmt: skip
-            if (codes == FREE).all():
-                codes = _hand_codes(robot, world, motion, here, own, tools, grasps[chosen], hand)
-            base_hits = stands is not None and bool((codes == FREE).all())
-            if stands is not None and base_hits:
-                codes = stands(here, motion.value)
-            borne = loads.at(here, own, int(grasps[chosen[0]]), np.arange(len(dense)))
-            bad_states = np.flatnonzero((codes != FREE) | borne.refused)
-            if not len(bad_states):
-                moved = None if stands is None else here
-                return ArmPath(FOUND, count, count, FREE, own, moved)
-            bad = int(bad_states[0])
-            waypoint = int(number[np.searchsorted(motion.waypoint_steps, bad)])
-            if codes[bad] != FREE:
-                worst = ArmPath(HIT, waypoint, count, int(codes[bad]), base_hits=base_hits)
-            else:
-                overload = loads.limits.worst(borne, waypoint_name(waypoint))
-                worst = ArmPath(OVERLOADED, waypoint, count, FREE, overload=overload)
-        # Banning the node after the failure forces another path.
-        at = min(int(np.searchsorted(motion.waypoint_steps, bad)), count - 1)
-        graph.banned[chosen[at]] = True
-    return worst
+        overload = loads.outcome(where, excess, waypoint_name(layer))
+        return ArmPath(OVERLOADED, layer, passed, FREE, overload=overload)
+    return ArmPath(UNREACHABLE if code == NOWHERE else HIT, layer, passed, code)
 
 
 def waypoint_name(waypoint: int) -> str:
@@ -413,47 +369,124 @@ def waypoint_name(waypoint: int) -> str:
     return "the pre-grasp" if waypoint == 0 else f"waypoint {waypoint}"
 
 
-def _hand_codes(
-    robot: ArmModel,
-    world: CollisionWorld,
-    motion: TaskMotion,
-    bases: Float[np.ndarray, "d 3"],
-    states: Float[np.ndarray, "d n"],
-    tools: Float[np.ndarray, "d 4 4"],
-    grasps: Int[np.ndarray, " w"],
-    known: HandCodes,
-) -> Int[np.ndarray, " d"]:
-    """Return the hand's collision codes at every step, see `hand_hits_along`.
+@dataclass(frozen=True, eq=False)
+class _Filled:
+    """A path of one job with a state at every step of the motion."""
 
-    Codes of a hand that does not turn about its grasp are cached: they are the same from every
-    base pose.
+    robot: ArmModel
+    world: CollisionWorld
+    motion: TaskMotion
+    base: Float[np.ndarray, "*d 3"]
+    q: Float[np.ndarray, "d n"]
+    Ts_world_tool: Float[np.ndarray, "d 4 4"]
+    grasps: Int[np.ndarray, " w"]
+
+    @cached_property
+    def split(self) -> tuple[Float[np.ndarray, "d 3"], Float[np.ndarray, "d m"]]:
+        """Return the base pose at each step, and the states of the arm on it."""
+        return split_states(self.robot, self.base, self.q)
+
+    def hand_hit(self, known: HandHits) -> tuple[int, int]:
+        """Return the first step at which the hand hits something and its code, see `_first_hit`.
+
+        The result for a hand that does not turn about its grasp is cached: it is the same from
+        every base pose.
+        """
+        grasp, standing = int(self.grasps[0]), standing_arm(self.robot)
+        still = standing is robot_of(self.robot) and bool((self.grasps == grasp).all())
+        if still and grasp in known:
+            return known[grasp]
+        Ts = hand_poses(standing, *self.split, self.Ts_world_tool)
+        steps = np.arange(len(self.q))
+        width = np.full(len(self.q), self.motion.grasps.width[grasp])
+        codes = hand_hits_along(robot_of(self.robot), self.world, self.motion, Ts, steps, width)
+        found = _first_hit(codes)
+        if still:
+            known[grasp] = found
+        return found
+
+
+def _first_hit(codes: Int[np.ndarray, " d"]) -> tuple[int, int]:
+    """Return the first step that is not free, and its code; the number of steps if all are."""
+    hits = np.flatnonzero(codes != FREE)
+    return (int(hits[0]), int(codes[hits[0]])) if len(hits) else (len(codes), FREE)
+
+
+@kernel
+def _unwrap(q, full_turn, limits):
+    """Unwrap joints that turn fully along a path, within their limits if possible."""
+    turn = 2.0 * np.pi
+    for k in range(q.shape[1]):
+        if not full_turn[k]:
+            continue
+        before, shift, low, high = q[0, k], 0.0, q[0, k], q[0, k]
+        for w in range(1, len(q)):
+            step = q[w, k] - before
+            before = q[w, k]
+            if abs(step) >= np.pi:
+                shorter = (step + np.pi) % turn - np.pi
+                if shorter == -np.pi and step > 0.0:
+                    shorter = np.pi
+                shift += shorter - step
+            q[w, k] += shift
+            low, high = min(low, q[w, k]), max(high, q[w, k])
+        if np.isfinite(limits.upper[k]):
+            over, under = max(0.0, high - limits.upper[k]), max(0.0, limits.lower[k] - low)
+            back = turn * np.ceil(over / turn) - turn * np.ceil(under / turn)
+            for w in range(len(q)):
+                q[w, k] -= back
+
+
+@entry
+def _fill_paths(
+    left: I1, chosen: I2, targets: F4, jobs: Jobs, layers: Layers, task: TaskArrays
+) -> tuple[np.ndarray, ...]:
+    """Fill the states between the waypoints of some jobs' paths, and check them.
+
+    Args:
+        left: Indices of these jobs (k,).
+        chosen: Index of their configuration at each waypoint (k, w).
+        targets: Tool poses at every step in the frame of the base without slides (k, d, 4, 4).
+        jobs, layers, task: All jobs.
+
+    Returns:
+        States (k, d, n), the step that Newton does not reach, or -1 (k,); the first step at which
+        the arm hits something, or d, and its code; the first step that motors or base do not bear,
+        or d, the largest excess, and where it is (k,).
     """
-    grasp = int(grasps[0])
-    standing = standing_arm(robot)
-    still = standing is robot_of(robot) and bool((grasps == grasp).all())
-    if still and grasp in known:
-        return known[grasp]
-    codes = hand_hits_along(
-        robot_of(robot), world, motion, hand_poses(standing, bases, states, tools),
-        np.arange(len(states)), np.full(len(states), motion.grasps.width[grasp]),
-    )  # fmt: skip
-    if still:
-        known[grasp] = codes
-    return codes
-
-
-def _unwrap(
-    q: np.ndarray, full_turn: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> np.ndarray:
-    """Unwrap joints that turn fully, within their limits if possible."""
-    out = q.copy()
-    out[:, full_turn] = np.unwrap(q[:, full_turn], axis=0)
-    turn = 2 * np.pi
-    for k in np.flatnonzero(full_turn & np.isfinite(upper)):
-        over = max(0.0, out[:, k].max() - upper[k])
-        under = max(0.0, lower[k] - out[:, k].min())
-        out[:, k] -= turn * np.ceil(over / turn) - turn * np.ceil(under / turn)
-    return out
+    arm, standing, course, lead = task.arm, task.standing, task.course, len(task.standing.slides)
+    count, steps, n = len(left), len(course.value), len(arm.limits.lower)
+    dense, failed = np.empty((count, steps, n)), np.empty(count, np.int64)
+    hits, codes = np.full(count, steps), np.full(count, FREE)
+    refused, excess = np.full(count, steps), np.full(count, -np.inf)
+    where, q = np.zeros(count, np.int64), np.empty((chosen.shape[1], n))
+    here, load = np.empty(3), np.empty((2, 3))
+    joints = len(standing.chain.slides)
+    placed, bearing = scratch_of(joints, task.room.spheres), load_scratch(joints, n - lead)
+    for i in range(count):
+        base, grasp = jobs.bases[left[i]], layers.grasps[chosen[i, 0]]
+        for w in range(len(q)):
+            q[w] = layers.q[chosen[i, w]]
+        _unwrap(q, task.steps.full_turn, arm.limits)
+        failed[i] = _track(q, course.waypoints, targets[i], arm, task.steps.scale, dense[i])
+        if failed[i] >= 0:
+            continue
+        for s in range(steps):
+            own = dense[i, s, lead:]
+            slide(dense[i, s], base[min(s, len(base) - 1)], standing, here)
+            if hits[i] == steps:
+                state = TaskState(course.value[s], course.holding[s])
+                code = check_one(own, here, state, standing.chain, task.room, placed)
+                if code != FREE:
+                    hits[i], codes[i] = s, code
+            load_in_base(course.force[grasp, s], course.point[grasp, s], here, load)
+            stability = state_loads(own, standing.chain, task.robot, load[0], load[1], bearing)
+            worst, at = load_excess(bearing.efforts, stability, task.robot)
+            if worst > excess[i]:
+                excess[i], where[i] = worst, at
+            if worst > 0.0:
+                refused[i] = min(refused[i], s)
+    return dense, failed, hits, codes, refused, excess, where
 
 
 def follow(

@@ -28,7 +28,7 @@ from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 from momapos.verification import HOLD_CHECK
 
-from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandCodes, find_paths, follow, waypoint_name
+from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandHits, find_paths, follow, waypoint_name
 from .arm_planner import RESOLUTION, brief_config, fill_curve, plan_with_clearance
 from .config import PlannerConfig
 from .free_turn import find_short_paths, smooth_posture
@@ -203,8 +203,8 @@ class Feasibility:
         return find_paths(*given, self._hand)
 
     @cached_property
-    def _hand(self) -> HandCodes:
-        """Cache of the hand's collision codes; threads may write the same entry twice."""
+    def _hand(self) -> HandHits:
+        """Cache of the hand's first hits; threads may write the same entry twice."""
         return {}
 
     def _check(

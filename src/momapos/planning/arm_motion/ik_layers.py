@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from momapos.core import InputError
+from momapos.core import InputError, owner_cache
 from momapos.core.compiled import B1, F1, F2, F3, F4, I1, I2, entry, kernel
 from momapos.core.geometry import apply, invert, pose_planar, rotation
 from momapos.model.collision import (
@@ -287,27 +287,27 @@ NOWHERE, CUT_OFF, OVERLOADED = FREE, FREE - 10, FREE - 9
 what the motors and the base bear."""
 
 
-@dataclass(frozen=True, eq=False)
-class Layers:
-    """Configurations of all jobs at the waypoints, concatenated."""
+class Layers(NamedTuple):
+    """Configurations of j jobs in l layers, concatenated."""
 
-    q: Float[np.ndarray, "m n"]
-    grasps: Int[np.ndarray, " m"]
-    """The grasp of each configuration."""
-    checked: Bool[np.ndarray, " m"]
-    """Whether it is known to be free; at each waypoint with configurations, one is."""
-    first: Int[np.ndarray, "j l"]
-    """Index of the first configuration of each job at each waypoint."""
-    counts: Int[np.ndarray, "j l"]
-    """Number of configurations; also 0 where none was searched."""
-    passed: Int[np.ndarray, " j"]
-    """Number of waypoints with configurations before the first failure."""
-    codes: Int[np.ndarray, " j"]
-    """Cause of the failure: the obstacle that was hit, NOWHERE, CUT_OFF or OVERLOADED."""
-    excess: Float[np.ndarray, " j"]
-    """Least excess of the refused configurations at that waypoint [-]; infinite without any."""
-    where: Int[np.ndarray, " j"]
-    """The degree of freedom that exceeds its limit there, or BASE."""
+    q: F2
+    """(m, n)"""
+    grasps: I1
+    """The grasp of each configuration (m,)."""
+    checked: B1
+    """Whether it is known to be free (m,); in each layer with configurations, one is."""
+    first: I2
+    """Index of the first configuration of each job in each layer (j, l)."""
+    counts: I2
+    """Number of configurations (j, l); also 0 where none was searched."""
+    passed: I1
+    """Number of layers with configurations before the first failure (j,)."""
+    codes: I1
+    """Cause of the failure (j,): the obstacle that was hit, NOWHERE, CUT_OFF or OVERLOADED."""
+    excess: F1
+    """Least excess of the refused configurations of that layer (j,) [-]; infinite without any."""
+    where: I1
+    """The degree of freedom that exceeds its limit there, or BASE (j,)."""
 
 
 class JointSteps(NamedTuple):
@@ -328,6 +328,9 @@ class Jobs(NamedTuple):
     """Base pose of each, at every step or one for all: x [m], y [m], yaw [rad]."""
     grasps: I2
     """Grasps of each mode, padded with -1."""
+    own: F3
+    """States by the user's own inverse kinematics for each job, layer and grasp of its mode, with
+    NaN where there is none; empty if the arm's own is used."""
 
 
 class Standing(NamedTuple):
@@ -339,28 +342,34 @@ class Standing(NamedTuple):
     """Directions of the slides in the frame of the base; none if it stands."""
 
 
-class Waypoints(NamedTuple):
-    """The waypoints of a motion."""
+class Course(NamedTuple):
+    """A motion of d steps and w waypoints, which share the states of l layers."""
 
     order: I1
-    """The order in which they are solved."""
+    """The order in which the layers are solved (l,)."""
     place: I1
-    """Index of each along the motion."""
-    step: I1
-    """The step of the motion at each."""
+    """The first waypoint of each layer (l,)."""
+    waypoints: I1
+    """The step of each waypoint (w,)."""
+    layer: I1
+    """The layer of each waypoint (w,)."""
+    again: I1
+    """How many waypoints before each share its layer (w,)."""
     value: I1
-    """Index of the moved part's configuration at each."""
+    """Index of the moved part's configuration at each step (d,)."""
     holding: B1
-    """Whether the hand holds the part there."""
+    """Whether the hand holds the part there (d,)."""
     Ts_world_tool: F4
-    """Tool pose of each grasp at every step."""
+    """Tool pose of each grasp at every step (g, d, 4, 4)."""
     force: F3
-    """Force on the hand of each grasp at every step, in the world [N]."""
+    """Force on the hand of each grasp at every step, in the world (g, d, 3) [N]."""
     point: F3
-    """Where it acts [m]."""
-    own: F3
-    """States by the user's own inverse kinematics at each job, waypoint and grasp of its mode,
-    with NaN where there is none; empty if the arm's own is used."""
+    """Where it acts (g, d, 3) [m]."""
+    lanes: I2
+    row: I1
+    """See `TaskMotion.lanes`: (k, g) and (w,)."""
+    angles: F1
+    """Turn of the hand in each grasp (g,) [rad]."""
 
 
 class Found(NamedTuple):
@@ -375,6 +384,51 @@ class Found(NamedTuple):
     where: I1
 
 
+class TaskArrays(NamedTuple):
+    """One arm, its obstacles and one motion."""
+
+    arm: ArmArrays
+    standing: Standing
+    robot: LoadArrays
+    room: CollisionArrays
+    steps: JointSteps
+    course: Course
+
+
+@owner_cache(8)
+def task_arrays(motion: TaskMotion, robot: ArmModel, world: CollisionWorld) -> TaskArrays:
+    """Return an arm, its obstacles and a motion as an argument of kernels."""
+    chain, scale = robot.chain, joint_scale(robot.chain)
+    locked = scale.copy()
+    locked[robot.ik.active] = 0.0
+    layer, (lanes, row) = motion.layer_of, motion.lanes
+    place = np.unique(layer, return_index=True)[1]
+    force, point = map(np.ascontiguousarray, motion.hand_loads)
+    return TaskArrays(
+        arm_arrays(chain, robot.ik),
+        Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot)),
+        load_arrays(robot),
+        collision_arrays(arm_spheres(robot_of(robot)), world),
+        JointSteps(full_turns(chain), scale, locked),
+        Course(
+            np.array(_ends_first(len(place))), place, np.array(motion.waypoint_steps), layer,
+            np.arange(len(layer)) - place[layer], np.array(motion.value), np.array(motion.holding),
+            np.ascontiguousarray(motion.Ts_world_tool), force, point, np.ascontiguousarray(lanes),
+            row, np.array(motion.turning.angles),
+        ),
+    )  # fmt: skip
+
+
+def _ends_first(count: int) -> list[int]:
+    """Order range(count): grasp, last, first, then by bisection."""
+    order, stride = [1, count - 1, 0], count - 1
+    order = list(dict.fromkeys(order))
+    while stride > 1:
+        stride = (stride + 1) // 2
+        order += [i for i in range(0, count, stride) if i not in order]
+    return order
+
+
 def joint_scale(chain: Chain) -> Float[np.ndarray, " n"]:
     """Return the weight of each joint in a joint step [rad/rad] or [rad/m]."""
     return np.where(chain.prismatic, PRISMATIC_SCALE, 1.0)
@@ -385,50 +439,44 @@ def full_turns(chain: Chain) -> Bool[np.ndarray, " n"]:
     return ~chain.prismatic & (chain.upper - chain.lower > 2 * np.pi + 0.1)
 
 
-def solve_layers(
+def layer_jobs(
     robot: ArmModel,
-    world: CollisionWorld,
     motion: TaskMotion,
     bases: Float[np.ndarray, "j *d 3"],
-    grasps: Int[np.ndarray, "j k"],
-    waypoints: Int[np.ndarray, " l"],
-    order: Int[np.ndarray, " o"],
-) -> Layers:
-    """Find configurations of each job at some waypoints, until a waypoint has none that is free.
+    modes: Int[np.ndarray, " j"],
+) -> Jobs:
+    """Return pairs of base pose, or base path, and grasp mode as an argument of kernels."""
+    paths = np.ascontiguousarray(bases[:, None] if bases.ndim == 2 else bases)
+    grasps = np.ascontiguousarray(motion.turning.members(modes))
+    solve = robot.own_ik if isinstance(robot, Robot) else None
+    if solve is None:
+        return Jobs(paths, grasps, np.empty((0, 0, robot.chain.size)))
+    step = motion.waypoint_steps[np.unique(motion.layer_of, return_index=True)[1]]
+    own = own_states(solve, robot.chain, paths, grasps, step, motion.Ts_world_tool)
+    return Jobs(paths, grasps, own)
 
-    Collision checks at a waypoint stop at the first free configuration, since most end up on no
-    path. A configuration farther than `MAX_STEP` per waypoint from all configurations of the
-    nearest solved waypoint on either side is on no path; it is dropped without a check.
+
+def solve_layers(
+    jobs: Jobs, task: TaskArrays, order: Int[np.ndarray, " o"] | None = None
+) -> Layers:
+    """Find configurations of each job in some layers, until a layer has none that is free.
+
+    Collision checks of a layer stop at the first free configuration, since most end up on no path.
+    A configuration farther than `MAX_STEP` per waypoint from all configurations of the nearest
+    solved layer on either side is on no path; it is dropped without a check.
 
     Args:
-        robot, world, motion: Arm, obstacles and task motion.
-        bases: Base pose of each job, or one at every step of the motion.
-        grasps: Grasps of each job's mode, padded with -1.
-        waypoints: Indices into the coarse waypoints, ascending.
-        order: Indices into these, in the order in which they are solved.
+        jobs, task: From `layer_jobs` and `task_arrays`.
+        order: The layers, in the order in which they are solved. By default all, those that fail
+            most first: the ends and the middle.
     """
-    step, chain, ik = motion.waypoint_steps[waypoints], robot.chain, robot.ik
-    paths = bases[:, None] if bases.ndim == 2 else bases
-    scale = joint_scale(chain)
-    locked = scale.copy()
-    locked[ik.active] = 0.0
-    solve = robot.own_ik if isinstance(robot, Robot) else None
-    own, (force, point) = np.empty((0, 0, chain.size)), map(np.ascontiguousarray, motion.hand_loads)
-    if solve is not None:
-        own = own_states(solve, chain, paths, grasps, step, motion.Ts_world_tool)
-    return Layers(*_solve_layers(
-        Jobs(np.ascontiguousarray(paths), np.ascontiguousarray(grasps)),
-        Standing(chain_arrays(standing_arm(robot).chain), slides_of(robot)),
-        Waypoints(
-            order, waypoints, step, motion.value[step], motion.holding[step],
-            np.ascontiguousarray(motion.Ts_world_tool),
-            force, point, own,
-        ),
-        arm_arrays(chain, ik),
-        load_arrays(robot),
-        collision_arrays(arm_spheres(robot_of(robot)), world),
-        JointSteps(full_turns(chain), scale, locked),
-    ))  # fmt: skip
+    if order is not None:
+        task = task._replace(course=task.course._replace(order=order))
+    return Layers(*_solve_layers(jobs, task))
+
+
+_HALF_TURN = 3.14
+"""Joint differences up to this are not shorter in the other direction [rad]."""
 
 
 @kernel
@@ -437,7 +485,7 @@ def joint_step(a, b, full_turn, scale, limit):
     worst = 0.0
     for k in range(len(a)):
         d = b[k] - a[k]
-        if full_turn[k]:
+        if full_turn[k] and abs(d) > _HALF_TURN:
             d -= 2.0 * np.pi * np.floor(d / (2.0 * np.pi) + 0.5)
         worst = max(worst, abs(d) * scale[k])
         if worst > limit:
@@ -489,7 +537,7 @@ def _tool_in_base(T, base, R, p):
 
 
 @kernel
-def _load_in_base(force, point, base, memory):
+def load_in_base(force, point, base, memory):
     """Fill in a force and where it acts, in the base frame."""
     c, s = np.cos(base[2]), np.sin(base[2])
     x, y = point[0] - base[0], point[1] - base[1]
@@ -499,7 +547,7 @@ def _load_in_base(force, point, base, memory):
 
 
 @kernel
-def _slide(q, at, standing, here):
+def slide(q, at, standing, here):
     """Write the base pose of a state."""
     here[0], here[1], here[2] = at[0], at[1], at[2]
     c, s = np.cos(at[2]), np.sin(at[2])
@@ -510,33 +558,33 @@ def _slide(q, at, standing, here):
 
 
 @kernel
-def _solve_layer(
-    j, looked, used, jobs, standing, path, arm, robot, room, steps, found, scratch, placed, memory
-):
-    """Fill in the configurations of a job at one waypoint; return their number and a code."""
+def _solve_layer(j, looked, used, jobs, task, found, scratch, placed, memory):
+    """Fill in the configurations of a job in one layer; return their number and a code."""
+    arm, standing, robot, room, steps, course = task
     R, p, solutions, limits, load, bearing, here = memory
-    w = path.order[looked]
-    at, lead = min(path.step[w], jobs.bases.shape[1] - 1), len(standing.slides)
-    base = jobs.bases[j, at]
+    w = course.order[looked]
+    place = course.place
+    step, lead = course.waypoints[place[w]], len(standing.slides)
+    base = jobs.bases[j, min(step, jobs.bases.shape[1] - 1)]
     full_turn, n, samples = steps.full_turn, len(steps.full_turn), arm.ik.samples
-    state = TaskState(path.value[w], path.holding[w])
-    low, high = _around(w, path.order, looked, path.place)
+    state = TaskState(course.value[step], course.holding[step])
+    low, high = _around(w, course.order, looked, place)
     limits[0] = limits[1] = np.inf
     before, after = found.q[:0], found.q[:0]
     if low >= 0:
-        limits[0] = MAX_STEP * (path.place[w] - path.place[low])
+        limits[0] = MAX_STEP * (place[w] - place[low])
         before = found.q[found.first[j, low] : found.first[j, low] + found.counts[j, low]]
     if high >= 0:
-        limits[1] = MAX_STEP * (path.place[high] - path.place[w])
+        limits[1] = MAX_STEP * (place[high] - place[w])
         after = found.q[found.first[j, high] : found.first[j, high] + found.counts[j, high]]
-    count, worst, own = 0, CUT_OFF, len(path.own) > 0
+    count, worst, own = 0, CUT_OFF, len(jobs.own) > 0
     found.excess[j] = np.inf
     for column in range(jobs.grasps.shape[1]):
         grasp, code = jobs.grasps[j, column], NOWHERE
         if grasp < 0:
             break
-        _tool_in_base(path.Ts_world_tool[grasp, path.step[w]], base, R, p)
-        force, point = path.force[grasp, path.step[w]], path.point[grasp, path.step[w]]
+        _tool_in_base(course.Ts_world_tool[grasp, step], base, R, p)
+        force, point = course.force[grasp, step], course.point[grasp, step]
         begin_pose(scratch)
         for s in range(1 if own else sample_count(arm.ik)):
             # Locked joints are known, so most samples need no inverse kinematics.
@@ -547,8 +595,8 @@ def _solve_layer(
             ):
                 continue
             if own:
-                row = (j * len(path.place) + w) * jobs.grasps.shape[1] + column
-                solved = copy_states(path.own[row], solutions)
+                row = (j * len(place) + w) * jobs.grasps.shape[1] + column
+                solved = copy_states(jobs.own[row], solutions)
             else:
                 solved = solve_sample(s, R, p, arm, COARSE, solutions, scratch)
             for b in range(solved):
@@ -557,9 +605,9 @@ def _solve_layer(
                     if code == NOWHERE:
                         code = CUT_OFF
                     continue
-                _slide(q, base, standing, here)
+                slide(q, base, standing, here)
                 q_arm = q[lead:]
-                _load_in_base(force, point, here, load)
+                load_in_base(force, point, here, load)
                 stability = state_loads(q_arm, standing.chain, robot, load[0], load[1], bearing)
                 excess, where = load_excess(bearing.efforts, stability, robot)
                 if excess > 0.0:
@@ -584,48 +632,38 @@ def _solve_layer(
 
 
 @entry
-def _solve_layers(
-    jobs: Jobs,
-    standing: Standing,
-    path: Waypoints,
-    arm: ArmArrays,
-    robot: LoadArrays,
-    room: CollisionArrays,
-    steps: JointSteps,
-) -> tuple[np.ndarray, ...]:
-    count, n = len(jobs.bases), len(steps.full_turn)
-    first = np.zeros((count, len(path.place)), np.int64)
+def _solve_layers(jobs: Jobs, task: TaskArrays) -> tuple[np.ndarray, ...]:
+    arm, standing, course = task.arm, task.standing, task.course
+    count, n = len(jobs.bases), len(arm.limits.lower)
+    first = np.zeros((count, len(course.place)), np.int64)
     counts, passed, codes = (
         np.zeros_like(first),
         np.zeros(count, np.int64),
         np.zeros(count, np.int64),
     )
     joints = len(standing.chain.slides)
-    scratch, placed = ik_scratch(arm), scratch_of(joints, room.spheres)
-    solutions = np.empty((max(MAX_BRANCHES, path.own.shape[1]), n))
+    scratch, placed = ik_scratch(arm), scratch_of(joints, task.room.spheres)
+    solutions = np.empty((max(MAX_BRANCHES, jobs.own.shape[1]), n))
     memory = (
         np.empty((3, 3)), np.empty(3), solutions, np.empty(2), np.empty((2, 3)),
         load_scratch(joints, n - len(standing.slides)), np.empty(3),
     )  # fmt: skip
     excess, where = np.full(count, np.inf), np.zeros(count, np.int64)
     # The arrays always have space for one job at one waypoint.
-    each = max(max_solutions(arm.ik), path.own.shape[1])
+    each = max(max_solutions(arm.ik), jobs.own.shape[1])
     most, used = jobs.grasps.shape[1] * each, 0
     q, grasps = np.empty((4 * most, n)), np.empty(4 * most, np.int64)
     checked = np.empty(4 * most, np.bool_)
     for j in range(count):
-        for looked in range(len(path.order)):
+        for looked in range(len(course.order)):
             if used + most > len(q):
                 q, grasps = np.concatenate((q, np.empty_like(q))), np.append(grasps, grasps)
                 checked = np.append(checked, checked)
             found = Found(q, grasps, checked, first, counts, excess, where)
-            added, code = _solve_layer(
-                j, looked, used, jobs, standing, path, arm, robot, room, steps, found, scratch,
-                placed, memory,
-            )  # fmt: skip
+            added, code = _solve_layer(j, looked, used, jobs, task, found, scratch, placed, memory)
             if added == 0:
                 codes[j] = code
                 break
-            first[j, path.order[looked]], counts[j, path.order[looked]] = used, added
+            first[j, course.order[looked]], counts[j, course.order[looked]] = used, added
             used, passed[j] = used + added, looked + 1
     return q[:used], grasps[:used], checked[:used], first, counts, passed, codes, excess, where

@@ -15,7 +15,7 @@ from momapos.model.records import ReachScorer, TravelCost
 from momapos.model.robots import Robot
 from momapos.model.scene import upright_boxes
 from momapos.model.urdf import Boxes
-from momapos.planning.arm_motion import solve_layers
+from momapos.planning.arm_motion import layer_jobs, solve_layers, task_arrays
 from momapos.planning.config import BaselineConfig
 from momapos.planning.grasps import slides
 from momapos.planning.placement import arm_radius
@@ -216,9 +216,10 @@ class PlacerRoom:
         """Return the pairs of base pose and grasp with a free arm state at a waypoint."""
         if not len(jobs):
             return jobs
-        prepared = self.prepared
+        robot, motion = self.robot, self.prepared.motion
         layers = solve_layers(
-            self.robot, prepared.world, prepared.motion, bases[jobs], grasps[jobs],
-            np.array([waypoint]), np.array([0]),
-        )  # fmt: skip
+            layer_jobs(robot, motion, bases[jobs], grasps[jobs, 0]),
+            task_arrays(motion, robot, self.prepared.world),
+            np.array([waypoint]),
+        )
         return jobs[layers.passed > 0]
