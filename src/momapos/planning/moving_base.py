@@ -217,6 +217,7 @@ def _problem(setup: SearchSetup, way: MovingBase) -> Problem:
         geometry=geometry,
         mode_scorers=(way.scorer,),
         screen=check.screen,
+        near=None,
         attempt=setup.accepted(check),
         infeasible_reason=setup.passage.no_way(geometry) or (starts.no_way if starts else ""),
         home_is_free=None,

@@ -109,6 +109,7 @@ class TwoGrasps:
             geometry=replace(problem.geometry, Ts_world_tool=pushing),
             mode_scorers=self.mode_scorers,
             screen=self.screen,
+            near=None,  # both grasps would have to follow
             attempt=self,
             grasp_step=second.grasp_step,
             infeasible_reason="",

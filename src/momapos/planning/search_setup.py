@@ -94,7 +94,7 @@ class SearchSetup:
         order = np.argsort(problem.travel_cost(poses), kind="stable")
         fine = replace(self.feasible, robot=robot.finer)
         problem = replace(
-            problem, reach=problem.grid_reach, screen=fine.screen,
+            problem, reach=problem.grid_reach, screen=fine.screen, near=fine.follows,
             attempt=_accepted(fine, self.drives, self.robust),
         )  # fmt: skip
         # As on the grid every grasp counts.
@@ -187,6 +187,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
         travel_cost=TravelLengths(costs, query.robot, start),
         attempt=_accepted(feasible, drives, robust),
         screen=feasible.screen,
+        near=feasible.follows,
         grasp_step=prepared.motion.grasp_step,
         infeasible_reason=infeasible_reason or passage.no_way(prepared.geometry),
         start=start,

@@ -46,6 +46,7 @@ class SlidingHook:
             geometry=replace(problem.geometry, Ts_world_tool=self.Ts_world_tool),
             mode_scorers=self.mode_scorers,
             screen=self.screen,
+            near=self.feasible.follows,
             attempt=self,
         )
 

@@ -267,13 +267,26 @@ def cost_map(
         start: x [m], y [m], yaw [rad].
         keep_out: Areas that the base does not touch.
     """
-    robot, obstacles = prepared.robot, prepared.motion.static_obstacles()
-    polygon = prepared.scene.floor_polygon
-    height = base_height(robot)
+    robot, (x, y) = prepared.robot, start[:2].tolist()
+    radius = inscribed_radius(robot.footprint)
+    return _cost_map(prepared.scene, (x, y), base_height(robot), radius, tuple(keep_out))
+
+
+@owner_cache(8)
+def _cost_map(
+    scene: Scene,
+    start: tuple[float, float],
+    height: float,
+    radius: float,
+    keep_out: tuple[Outline, ...],
+) -> CostMap:
+    """Return the driving lengths of a base in a scene; all its tasks share them."""
+    begin = np.array(start)
     plan = floor_plan(
-        obstacles, height=height, floor_polygon=polygon, start=start[:2], keep_out=keep_out
-    )
-    return build_cost_map(plan, start[:2], radius=inscribed_radius(robot.footprint))
+        scene_boxes(scene), height=height, floor_polygon=scene.floor_polygon, start=begin,
+        keep_out=keep_out,
+    )  # fmt: skip
+    return build_cost_map(plan, begin, radius=radius)
 
 
 def start_pose(

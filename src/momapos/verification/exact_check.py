@@ -179,6 +179,7 @@ class PlanVerifier:
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
         on_gripper = self.robot_model.gripper[on_part[:, 0]]
         self._arm_part = on_part[~on_gripper]
+        self._measured: tuple[tuple[float, float, float], Motion, MeasuredLoads] | None = None
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Return why a motion is rejected, in the same words for similar motions, or None."""
@@ -222,8 +223,12 @@ class PlanVerifier:
 
     def loads(self, base_pose: tuple[float, float, float], motion: Motion) -> MotionLoads:
         """Return the worst loads of a valid motion at a base pose x [m], y [m], yaw [rad]."""
-        loads = self._loads(base_pose, motion, self._placed(base_pose, motion))
-        return loads.record(self._hand_load.mass)
+        known = self._measured
+        if known is None or known[0] != base_pose or known[1] is not motion:
+            known = base_pose, motion, self._loads(
+                base_pose, motion, self._placed(base_pose, motion)
+            )
+        return known[2].record(self._hand_load.mass)
 
     def load_checks(
         self, base_pose: tuple[float, float, float], motion: Motion, among: str = ""
@@ -281,7 +286,10 @@ class PlanVerifier:
                 return (*checks, check), None
         placed = self._placed(base_pose, motion)
         checks += self._motion_checks(placed, motion)
-        checks += self._loads(base_pose, motion, placed).checks(placed.path, self.limits)
+        loads = self._loads(base_pose, motion, placed)
+        # The loads of a motion are mostly wanted right after it was found valid.
+        self._measured = base_pose, motion, loads
+        checks += loads.checks(placed.path, self.limits)
         return tuple(checks), placed
 
     def drive_checks(self, plan: PlacementPlan) -> tuple[Check, ...]:

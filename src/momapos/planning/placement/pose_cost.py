@@ -7,16 +7,16 @@ hinges have errors, too: a door that passes the base by a centimeter may hit it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from momapos.core.geometry import compose
 from momapos.model.collision import FREE, base_hits
 from momapos.model.kinematics import least_dexterity, travel_of_arm
-from momapos.model.records import CostTerm
+from momapos.model.records import ArmPathResult, CostTerm
 
 from .area import BaseStatus, PlacementGeometry, base_pose_status, clears_sweep
 from .config import PlaceConfig
@@ -128,8 +128,19 @@ def missing_clearance(
     return _LEVELS[-1] - clearance
 
 
-Robustness: TypeAlias = "Callable[[Float[np.ndarray, '3'], int], float]"
-"""Return the robustness of a base pose, in [0, 1], given its grasp mode, which is tried first."""
+class Robustness(Protocol):
+    """Measures the robustness of base poses with an arm path."""
+
+    def __call__(
+        self, pose: Float[np.ndarray, "3"], path: ArmPathResult, least: float = 0.0, /
+    ) -> float:
+        """Return the share of neighbors that work, in [0, 1].
+
+        Below `least`, an upper bound is enough: it is returned as soon as it is known.
+        """
+        ...
+
+
 _CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
 """Offsets of the neighbors: a tetrahedron in the base frame, so that each coordinate varies to both
 sides and results move with the scene [-]."""
@@ -168,22 +179,36 @@ def can_be_robust(
 
 
 def robustness_of(problem: Problem, score: GraspModeScorer, config: PlaceConfig) -> Robustness:
-    """Return a function that measures the robustness of base poses."""
+    """Return a function that measures the robustness of base poses.
 
-    def robustness(pose: Float[np.ndarray, "3"], grasp: int) -> float:
+    First the arm path is adapted to the neighbors. Where that fails a path is searched, with the
+    same grasp mode first.
+    """
+
+    def robustness(
+        pose: Float[np.ndarray, "3"], path: ArmPathResult, least: float = 0.0, /
+    ) -> float:
         poses = _neighbors(pose[None], config)
         status, _ = base_pose_status(problem.geometry, poses)
         # No drive ends where the base cannot stand.
         poses = poses[status == BaseStatus.CLEAR]
         if not len(poses):
             return 0.0
-        scores = score(problem.reach, poses).scores
-        scores[:, grasp] = np.where(scores[:, grasp] > 0, _FIRST, 0.0)
-        screened = problem.screen(poses, scores, min(config.grasps, _GRASPS))
-        if screened is None:
-            return 0.0
-        works = np.array([one.q is not None for one in screened])
         roomy = clears_sweep(problem.geometry, poses, config.sweep_clearance)
-        return float((works * np.where(roomy, 1.0, _CLOSE_PASS_SHARE)).mean())
+        most = np.where(roomy, 1.0, _CLOSE_PASS_SHARE)
+        if most.mean() < least:
+            return float(most.mean())
+        works = np.zeros(len(poses), bool)
+        if problem.near is not None:
+            works = problem.near(pose, path, poses)
+        left = np.flatnonzero(~works)
+        scores = score(problem.reach, poses[left]).scores
+        scores[:, path.grasp] = np.where(scores[:, path.grasp] > 0, _FIRST, 0.0)
+        for k, scored in zip(left.tolist(), scores, strict=True):
+            (found,) = problem.screen(poses[k : k + 1], scored[None], min(config.grasps, _GRASPS))
+            most[k] *= found.q is not None
+            if most.mean() < least:
+                break
+        return float(most.mean())
 
     return robustness

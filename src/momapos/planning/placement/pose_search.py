@@ -62,8 +62,8 @@ class Waiting:
     paths: dict[int, ArmPathResult] = field(default_factory=dict)
     cost: dict[int, float] = field(default_factory=dict)
     """Cost of each pose with a path."""
-    measured: dict[bytes, float] = field(default_factory=dict)
-    """Robustness by base pose."""
+    measured: dict[bytes, tuple[float, bool]] = field(default_factory=dict)
+    """Robustness by base pose, and whether it is not only an upper bound."""
     looked: int = 0
     """Number of poses whose robustness was measured to choose [-]."""
     bound: float = math.inf
@@ -100,7 +100,7 @@ class Waiting:
         cost = known + self.costs.of_path(path.q)
         if self.costs.robustness_first or not self.looks or cost >= self.bound:
             return cost
-        return cost + self.costs.of_robustness(self.robustness_at(pose, path.grasp))
+        return cost + self.costs.of_robustness(self.robustness_at(pose, path))
 
     def choose(self, poses: Float[np.ndarray, "n 3"], *, last: bool) -> dict[int, ArmPathResult]:
         """Return all waiting poses, best first, as soon as the best is known; nothing before.
@@ -111,15 +111,17 @@ class Waiting:
         """
         by_cost = sorted(self.paths, key=lambda i: self.cost[i])
         if self.costs.robustness_first:
-            full = False
+            best = 0.0
             for i in by_cost:
-                if full or self.looked >= self.looks:
+                if best == 1.0 or self.looked >= self.looks:
                     break
                 self.looked += poses[i].tobytes() not in self.measured
-                full = self.robustness_at(poses[i], self.paths[i].grasp) == 1.0
-            if not (full or last or self.looked >= self.looks):
+                # A cheaper pose wins a tie.
+                more = float(np.nextafter(best, 1.0))
+                best = max(best, self.robustness_at(poses[i], self.paths[i], more))
+            if not (best == 1.0 or last or self.looked >= self.looks):
                 return {}
-            by_cost.sort(key=lambda i: -self.measured.get(poses[i].tobytes(), 0.0))
+            by_cost.sort(key=lambda i: -self.measured.get(poses[i].tobytes(), (0.0, True))[0])
         elif not last:
             return {}
         paths, self.paths, self.bound = self.paths, {}, math.inf
@@ -130,19 +132,24 @@ class Waiting:
         if not self.costs.robustness_first:
             cost, before = (self.full_cost(one.pose, one.path, one.known) for one in (step, to))
             return cost < before
-        least = self.measured.get(to.pose.tobytes(), 0.0)
-        return not self.looks or self.robustness_at(step.pose, step.path.grasp) >= least
+        least, _ = self.measured.get(to.pose.tobytes(), (0.0, True))
+        return not self.looks or self.robustness_at(step.pose, step.path, least) >= least
 
     def known_robustness(self, pose: Float[np.ndarray, "3"]) -> float | None:
         """Return the robustness of a base pose if it was measured."""
-        return self.measured.get(pose.tobytes())
+        value, is_exact = self.measured.get(pose.tobytes(), (0.0, False))
+        return value if is_exact else None
 
-    def robustness_at(self, pose: Float[np.ndarray, "3"], grasp: int) -> float:
-        """Measure the robustness of a base pose, once."""
+    def robustness_at(
+        self, pose: Float[np.ndarray, "3"], path: ArmPathResult, least: float = 0.0
+    ) -> float:
+        """Measure the robustness of a base pose, once; an upper bound is enough below `least`."""
         key = pose.tobytes()
-        if key not in self.measured:
-            self.measured[key] = self.robustness(pose, grasp)
-        return self.measured[key]
+        value, is_exact = self.measured.get(key, (1.0, False))
+        if not is_exact and value >= least:
+            value = self.robustness(pose, path, least)
+            self.measured[key] = value, value >= least
+        return value
 
 
 _COUNT = 128

@@ -125,6 +125,11 @@ ScreenPoses: TypeAlias = (
 )
 """Search an arm path at each of many base poses, given the scores of all grasp modes and the
 maximum number to try."""
+NearPoses: TypeAlias = (
+    "Callable[[Float[np.ndarray, '3'], ArmPathResult, Float[np.ndarray, 'n 3']], "
+    "Bool[np.ndarray, ' n']]"
+)
+"""Return at which base poses near one with an arm path the arm follows the same tool path."""
 PoseMask: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Bool[np.ndarray, ' n']]"
 """Return which base poses have a property."""
 PoseCost: TypeAlias = "Callable[[Float[np.ndarray, 'n 3']], Float[np.ndarray, ' n']]"
@@ -295,6 +300,8 @@ class Problem:
     """Checks many base poses for an arm path only."""
     start: Float[np.ndarray, "3"]
     """Start pose of the base: x [m], y [m], yaw [rad]."""
+    near: NearPoses | None = None
+    """Finds base poses near one with an arm path that need no search. None: all are searched."""
     grasp_step: int = 0
     """Index of the arm path's state in which the hand grasps [-]."""
     infeasible_reason: str = ""
