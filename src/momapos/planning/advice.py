@@ -125,7 +125,7 @@ def _without_springs(
     if task.joint is None or known is None:
         return
     forces = bool(answer.prepared.motion.refusal) or any(
-        one.status in _FORCES for group in answer.search.outcomes for one in group.tolist()
+        one.status in _FORCES for one in answer.search.counts()
     )
     item, config = query.scene.object(task.object), query.config.motion.grasps.resistance
     if forces and assumes_springs(item, task.joint, config):

@@ -17,6 +17,7 @@ from momapos.planning.placement import (
     BASE_OUTCOMES,
     MIN_MODE_SCORE,
     BaseStatus,
+    PoseOutcomes,
     Search,
     base_pose_status,
 )
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SAME_FOR_ALL_HANDLES = (PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR)
-"""Outcomes of a base pose that no other handle changes."""
+"""PoseOutcomes of a base pose that no other handle changes."""
 _SAME_GRASP = 1e-3
 """Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 MAX_VALUES_IN_TURN = 100
@@ -122,7 +123,7 @@ def _plan_at_pose(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> Placem
         attempt = Attempt(None, attempt.outcome if attempt.motion is None else no_route)
     solved = attempt.motion is not None
     found = Search(checked=1, base=base if solved else None, motion=attempt.motion, cost=length)
-    found.note(base[None], np.array([attempt.outcome], object))
+    found.note(base[None], PoseOutcomes([attempt.outcome]))
     pose = (float(base[0]), float(base[1]), float(base[2]))
     answered = replace(look.prepared.task, farthest=task.farthest and solved)
     plan = replace(

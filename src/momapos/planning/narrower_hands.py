@@ -66,8 +66,7 @@ def with_narrower_hand(
 
 def _is_infeasible_beforehand(answer: PlacementResult) -> bool:
     """Return whether no base pose was checked, since none can work."""
-    outcomes = (outcome for group in answer.search.outcomes for outcome in group)
-    return all(outcome.status is PoseStatus.TASK_INFEASIBLE for outcome in outcomes)
+    return all(one.status is PoseStatus.TASK_INFEASIBLE for one in answer.search.counts())
 
 
 def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[PlacementQuery]:

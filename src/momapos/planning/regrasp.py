@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from momapos.core.geometry import pose_planar
 from momapos.model import with_close_states
 from momapos.model.collision import build_motions
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
-from momapos.model.scene import resistance_along, stays_in_place
+from momapos.model.scene import Scene, resistance_along, stays_in_place
 from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
     RESOLUTION,
@@ -26,12 +26,13 @@ from momapos.planning.arm_motion import (
     quick_config,
     world_tools,
 )
-from momapos.planning.grasps import FULL_DOF, GraspFilter, task_motion
+from momapos.planning.grasps import FULL_DOF, GraspFilter, TaskMotion, task_motion
 from momapos.planning.placement import (
     GraspModeScorer,
     PlaceConfig,
     PlacementGeometry,
     Problem,
+    is_within_reach,
     two_grasp_scorer,
 )
 
@@ -45,6 +46,40 @@ AJAR_ANGLES = (np.radians(30.0), np.radians(40.0), np.radians(50.0))
 """Angles to which a door is pulled before it is pushed; the first that works is used [rad]."""
 _PUSHED_VALUES = 16
 """Joint values at which the weight of a pushed part is evaluated [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TwoMotions:
+    """The motions of two grasps: pull the door ajar, push it farther."""
+
+    pulling: TaskMotion
+    pushing: TaskMotion
+
+    @property
+    def pulls(self) -> int:
+        """Return the number of score columns of the first grasp, which precede the second's."""
+        return len(self.pulling.Ts_world_tool)
+
+    @property
+    def ends(self) -> frozenset[bytes]:
+        """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
+        Ts = np.round(self.pushing.Ts_world_tool[:, -1], 6) + 0.0
+        return frozenset(T.tobytes() for T in Ts)
+
+    def scorer(self, report: Callable[[int], None] = lambda _: None) -> GraspModeScorer:
+        """Return the scorer of both grasps, see `two_grasp_scorer`."""
+        return two_grasp_scorer(*map(_at_waypoints, (self.pulling, self.pushing)), report)
+
+    def problem(self, problem: Problem, report: Callable[[int], None]) -> Problem:
+        """Return a search's problem with the base poses and the scores of two grasps."""
+        geometry = replace(problem.geometry, Ts_world_tool=_at_waypoints(self.pushing))
+        return replace(
+            problem, geometry=geometry, mode_scorers=(self.scorer(report),), infeasible_reason=""
+        )
+
+
+def _at_waypoints(motion: TaskMotion) -> Float[np.ndarray, "g w 4 4"]:
+    return np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
 
 
 @dataclass(frozen=True)
@@ -65,65 +100,41 @@ class TwoGrasps:
     """Base poses at which a short search found no way between the grasps."""
     _pulled: dict[bytes, ArmPathResult] = field(default_factory=dict)
     """Arm paths of the first grasp, by base pose."""
-    _in_reach: list[int] = field(default_factory=list)
-    """For each query, the number of base poses that reach the first grasp and the end of the
-    second."""
 
-    @property
-    def _pulls(self) -> int:
-        """Return the number of score columns of the first grasp, which precede the second's."""
-        return len(self.first.motion.Ts_world_tool)
+    @cached_property
+    def motions(self) -> TwoMotions:
+        """Return both motions, with the grasps in which the hand is free."""
+        return TwoMotions(self.first.motion, self.second.motion)
 
     @property
     def mode_scorers(self) -> tuple[GraspModeScorer, ...]:
         """Return the scorer of both grasps, the first one's columns first."""
-        first, second = self.first.motion, self.second.motion
-        Ts = (m.Ts_world_tool[:, m.waypoint_steps] for m in (first, second))
-        one, other = (np.ascontiguousarray(T) for T in Ts)
-        return (two_grasp_scorer(one, other, self._in_reach.append),)
-
-    @property
-    def in_reach(self) -> bool:
-        """Return whether any base pose so far reaches the first grasp and the end of the second."""
-        return any(self._in_reach)
-
-    @property
-    def ends(self) -> frozenset[bytes]:
-        """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
-        Ts = np.round(self.second.motion.Ts_world_tool[:, -1], 6) + 0.0
-        return frozenset(T.tobytes() for T in Ts)
+        return (self.motions.scorer(),)
 
     @property
     def pulling(self) -> PlacementGeometry:
         """Return the scene and the first grasp as placement takes them."""
-        first = self.first.motion
-        Ts = np.ascontiguousarray(first.Ts_world_tool[:, first.waypoint_steps])
-        return replace(self.whole.geometry, Ts_world_tool=Ts)
+        return replace(self.whole.geometry, Ts_world_tool=_at_waypoints(self.first.motion))
 
     def problem(self, problem: Problem) -> Problem:
         """Return the search's problem, for two grasps."""
-        second = self.second.motion
-        pushing = np.ascontiguousarray(second.Ts_world_tool[:, second.waypoint_steps])
         return replace(
-            problem,
-            geometry=replace(problem.geometry, Ts_world_tool=pushing),
-            mode_scorers=self.mode_scorers,
+            self.motions.problem(problem, lambda _: None),
             screen=self.screen,
-            near=None,  # both grasps would have to follow
             attempt=self,
-            grasp_step=second.grasp_step,
-            infeasible_reason="",
+            near=None,  # both grasps would have to follow
+            grasp_step=self.second.motion.grasp_step,
         )
 
     def screen(
         self, bases: Float[np.ndarray, "n 3"], scores: Float[np.ndarray, "n h"], most: int | None
     ) -> list[ArmPathResult]:
         """Search arm paths for both grasps, see `Feasibility.screen`."""
-        pulled = self.first.screen(bases, scores[:, : self._pulls], most)
+        pulled = self.first.screen(bases, scores[:, : self.motions.pulls], most)
         found = np.array([one.q is not None for one in pulled])
         if not found.any():
             return pulled
-        pushed = self.second.screen(bases[found], scores[found, self._pulls :], most)
+        pushed = self.second.screen(bases[found], scores[found, self.motions.pulls :], most)
         results = list(pulled)
         for i, result in zip(np.flatnonzero(found).tolist(), pushed, strict=True):
             self._pulled[bases[i].tobytes()] = pulled[i]
@@ -134,7 +145,7 @@ class TwoGrasps:
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
     ) -> Attempt:
         """Complete both grasps at a base pose: approach, path between them, exact check."""
-        pulls, pushes = ways[ways < self._pulls], ways[ways >= self._pulls] - self._pulls
+        pulls, pushes = ways[ways < self.motions.pulls], ways[ways >= self.motions.pulls] - self.motions.pulls
         pulled = self.first(base, self._pulled[base.tobytes()], pulls)
         if pulled.motion is None:
             return pulled
@@ -248,6 +259,85 @@ class TwoGrasps:
         return with_close_states(joined, partial(world_tools, chain, base))
 
 
+@dataclass(frozen=True, eq=False)
+class AjarDoor:
+    """A door that is pulled to a value and pushed from there, before the hand is checked."""
+
+    whole: PreparedTask
+    """The whole task."""
+    opened: Scene
+    """The scene with the door ajar."""
+    pull: Task
+    motions: TwoMotions
+    """With all grasps."""
+
+    def is_within_reach(self, problem: Problem, place: PlaceConfig) -> tuple[bool, bool]:
+        """Return whether some base pose of the grid reaches both grasps, and the end of both.
+
+        Unknown, and so true, if the first grasp is of another handle than the whole task's.
+        """
+        if self.motions.pulling.handle != self.whole.motion.handle:
+            return True, True
+        ends: list[int] = []
+        found = is_within_reach(self.motions.problem(problem, ends.append), place)
+        return found, any(ends)
+
+    def prepared(
+        self,
+        config: PipelineConfig,
+        seed: int,
+        keep_grasps: GraspFilter | None,
+        watch: Stopwatch,
+    ) -> TwoGrasps | None:
+        """Prepare both grasps; None if the hand has no free one.
+
+        Args:
+            config: How to plan.
+            seed: The same seed gives the same motion.
+            keep_grasps: Returns which grasps may be used for pulling.
+            watch: Counts the stages.
+        """
+        whole, robot = self.whole, self.whole.robot
+        clearance = whole.geometry.clearance
+        first = prepare(
+            whole.scene, robot, self.pull, config, clearance=clearance,
+            motion=self.motions.pulling, keep_grasps=keep_grasps, watch=watch,
+        )  # fmt: skip
+        if first.no_grasp:
+            return None
+        second = prepare(
+            self.opened, robot, whole.task, config, clearance=clearance,
+            motion=self.motions.pushing, watch=watch,
+        )  # fmt: skip
+        if second.no_grasp:
+            return None
+        one, other = (
+            replace(part.feasibility(config, seed, watch=watch), home_again=False)
+            for part in (first, second)
+        )
+        return TwoGrasps(whole, one, other, config, seed)
+
+
+def ajar_doors(
+    whole: PreparedTask, config: PipelineConfig, watch: Stopwatch
+) -> Iterator[AjarDoor]:
+    """Yield the task with two grasps, for each value at which the hand may let go.
+
+    Arms of fewer than six degrees of freedom cannot do it.
+
+    Args:
+        whole: The task.
+        config: How to plan.
+        watch: Counts the stages.
+    """
+    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
+    pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
+    for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
+        door = _ajar_door(whole, config, ajar, watch)
+        if door is not None:
+            yield door
+
+
 def iter_two_grasps(
     whole: PreparedTask,
     config: PipelineConfig,
@@ -256,64 +346,22 @@ def iter_two_grasps(
     keep_grasps: GraspFilter | None = None,
     watch: Stopwatch | None = None,
 ) -> Iterator[TwoGrasps]:
-    """Yield the task with two grasps, for each value at which the hand may let go.
-
-    Arms of fewer than six degrees of freedom cannot do it.
-    """
+    """Yield the task with two grasps, prepared, see `ajar_doors` and `AjarDoor.prepared`."""
     watch = watch or Stopwatch(lambda: 0.0)
-    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
-    pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
-    for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
-        two = _two_grasps(whole, config, seed, ajar, keep_grasps, watch)
+    for door in ajar_doors(whole, config, watch):
+        two = door.prepared(config, seed, keep_grasps, watch)
         if two is not None:
             yield two
 
 
-def two_grasp_searches(
-    ready: Iterable[TwoGrasps], place: PlaceConfig
-) -> Iterator[tuple[TwoGrasps, PlaceConfig]]:
-    """Yield searches in the order of trying them: samples for every value, then grids.
-
-    If no base pose reaches both the pull to a value and an end of the push, none does for larger
-    values; these are searched only if they add ends.
-    """
-    sampled: list[TwoGrasps] = []
-    beyond: frozenset[bytes] = frozenset()
-    for two in ready:
-        if two.ends <= beyond:
-            continue
-        yield two, replace(place, grid=False)
-        if place.grid and not sampled and not two.in_reach:
-            yield two, replace(place, rounds=0)
-            if not two.in_reach:
-                beyond |= two.ends
-                continue
-        sampled.append(two)
-    for two in sampled if place.grid else ():
-        yield two, replace(place, rounds=0)
-
-
-def _two_grasps(
-    whole: PreparedTask,
-    config: PipelineConfig,
-    seed: int,
-    ajar: float,
-    keep_grasps: GraspFilter | None,
-    watch: Stopwatch,
-) -> TwoGrasps | None:
-    """Prepare a task with two grasps.
-
-    Args:
-        whole: The task.
-        config: How to plan.
-        seed: The same seed gives the same motion.
-        ajar: Angle to which the door is pulled, from closed [rad].
-        keep_grasps: Returns which grasps may be used for pulling.
-        watch: Counts the stages.
+def _ajar_door(
+    whole: PreparedTask, config: PipelineConfig, ajar: float, watch: Stopwatch
+) -> AjarDoor | None:
+    """Return the motions with two grasps, given the angle to which the door is pulled [rad].
 
     Returns:
-        None if the part slides, closes, opens less far, does not stay where the hand lets go, falls
-        open from there, or if the hand has no free grasp.
+        None if the part slides, closes, opens less far, does not stay where the hand lets go, or
+        falls open from there.
     """
     scene, robot, task = whole.scene, whole.robot, whole.task
     if task.verb != "open" or task.joint is None or task.to is None:
@@ -339,16 +387,4 @@ def _two_grasps(
     with watch.stage("model"):
         pulling = task_motion(scene, robot, pull, replace(config.motion, home_again=True))
         pushing = task_motion(opened, robot, task, config.motion, inside=True)
-    clearance = whole.geometry.clearance
-    first = prepare(
-        scene, robot, pull, config, clearance=clearance, motion=pulling,
-        keep_grasps=keep_grasps, watch=watch,
-    )  # fmt: skip
-    second = prepare(opened, robot, task, config, clearance=clearance, motion=pushing, watch=watch)
-    if first.no_grasp or second.no_grasp:
-        return None
-    one, other = (
-        replace(part.feasibility(config, seed, watch=watch), home_again=False)
-        for part in (first, second)
-    )
-    return TwoGrasps(whole, one, other, config, seed)
+    return AjarDoor(whole, opened, pull, TwoMotions(pulling, pushing))

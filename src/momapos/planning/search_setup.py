@@ -27,7 +27,7 @@ from momapos.planning.reachability import ReachMap
 from .base_paths import AreaRule, BasePaths, OnwardPaths, PassageRule
 from .carrying import Carrying
 from .query import PlacementQuery
-from .regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
+from .regrasp import TwoGrasps, ajar_doors, iter_two_grasps
 from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks
@@ -61,19 +61,6 @@ class SearchSetup:
     def slides(self) -> Iterator[SlidingHook]:
         """Yield the task with a hook that slides along the handle, if some hook can."""
         return sliding_hooks(self.prepared, self.feasible, self.query.config)
-
-    def two_grasps(self) -> Iterator[TwoGrasps]:
-        """Yield the task with two grasps, for each value at which the hand may let go."""
-        query = self.query
-        return iter_two_grasps(
-            self.prepared, query.config, query.seed, keep_grasps=query.keep_grasps,
-            watch=query.watch,
-        )  # fmt: skip
-
-    def multi_grasp_variants(self) -> Iterator[SlidingHook | TwoGrasps]:
-        """Yield all variants of the task with more than one grasp."""
-        yield from self.slides()
-        yield from self.two_grasps()
 
     def refine(self, found: Search, place: PlaceConfig) -> Search:
         """Check base poses again, from which coarse inverse kinematics may have missed an arm path.
@@ -110,14 +97,39 @@ class SearchSetup:
         for slide in self.slides():
             yield partial(search, self.with_grasps(slide), place, np.random.default_rng(seed))
         tried: list[TwoGrasps] = []
-        for two, again in two_grasp_searches(self.two_grasps(), place):
-            tried += [] if any(two is one for one in tried) else [two]
+        for two in self._two_grasps(place):
+            tried.append(two)
             quick = self.with_grasps(replace(two, quick=True))
-            yield partial(search, quick, again, np.random.default_rng(seed))
+            samples = replace(place, grid=False)
+            yield partial(search, quick, samples, np.random.default_rng(seed))
+        for two in tried if place.grid else ():
+            quick = self.with_grasps(replace(two, quick=True))
+            grid = replace(place, rounds=0)
+            yield partial(search, quick, grid, np.random.default_rng(seed))
         for two in tried:
             poses = np.array(two.postponed)
             if len(poses):
                 yield partial(search_in_order, self.with_grasps(two), iter([poses]), place)
+
+    def _two_grasps(self, place: PlaceConfig) -> Iterator[TwoGrasps]:
+        """Yield the task with two grasps, for each value at which the hand may let go.
+
+        If no base pose reaches both the pull to a value and an end of the push, none does for
+        larger values; these are prepared only if they add ends.
+        """
+        query = self.query
+        beyond: frozenset[bytes] = frozenset()
+        for door in ajar_doors(self.prepared, query.config, query.watch):
+            if door.motions.ends <= beyond:
+                continue
+            reached, reached_end = door.is_within_reach(self.problem, place)
+            if not reached_end:
+                beyond |= door.motions.ends
+            two = None
+            if reached:
+                two = door.prepared(query.config, query.seed, query.keep_grasps, query.watch)
+            if two is not None:
+                yield two
 
     def accepted(self, check: AttemptPose) -> AttemptPose:
         """Extend a check by the path to the base pose and by base-pose robustness."""

@@ -39,7 +39,7 @@ from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.placement.area import BaseStatus, base_pose_status
-from momapos.planning.placement.problem import Search
+from momapos.planning.placement.problem import PoseOutcomes, Search
 from momapos.planning.task_setup import placement_geometry
 
 
@@ -72,7 +72,7 @@ def test_every_candidate_is_counted_once() -> None:
     hit = [PoseOutcome(PoseStatus.ARM_COLLISION, "a/b", where) for where in ("waypoint 3", "x")]
     search = Search(
         poses=[np.zeros((12, 3)), np.zeros((1, 3))],
-        outcomes=[np.array([blocked, *hit] * 4, object), np.array([feasible], object)],
+        outcomes=[PoseOutcomes([blocked, *hit] * 4), PoseOutcomes([feasible])],
     )
     seen = outcomes(search)
     assert {words: count for (_, words), count in seen.counts.items()} == {

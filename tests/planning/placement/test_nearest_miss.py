@@ -14,7 +14,7 @@ from momapos.model.robots.robot import load_robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.problem import Search
+from momapos.planning.placement.problem import PoseOutcomes, Search
 
 OFF = PoseOutcome(PoseStatus.OFF_FLOOR)
 NO_GRASP = PoseOutcome(PoseStatus.NO_GRASP_IN_REACH)
@@ -38,7 +38,7 @@ def test_the_nearest_miss_is_the_pose_whose_checks_came_farthest(
     outcomes: list[PoseOutcome], nearest: int | None
 ) -> None:
     found, poses = Search(), np.arange(3.0 * len(outcomes)).reshape(-1, 3)
-    found.note(poses, np.array(outcomes, object))
+    found.note(poses, PoseOutcomes(outcomes))
     miss = found.candidates().nearest
     if nearest is None:
         assert miss is None
@@ -55,7 +55,7 @@ def test_a_plan_file_keeps_the_nearest_miss(tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "solved.json")
     assert "nearest" not in (tmp_path / "solved.json").read_text()
     found = Search()
-    found.note(np.array([[1.0, 2.0, 0.5]]), np.array([EARLY], object))
+    found.note(np.array([[1.0, 2.0, 0.5]]), PoseOutcomes([EARLY]))
     no = replace(
         plan, status="infeasible", motion=None, base_pose=None, candidates=found.candidates()
     )

@@ -16,6 +16,7 @@ from .grasp_scores import sees as sees
 from .grasp_scores import turning_grasp_scorer as turning_grasp_scorer
 from .grasp_scores import two_grasp_scorer as two_grasp_scorer
 from .pose_cost import cost_terms as cost_terms
+from .pose_search import is_within_reach as is_within_reach
 from .pose_search import iter_searches as iter_searches
 from .pose_search import search as search
 from .pose_search import search_in_order as search_in_order
@@ -23,6 +24,7 @@ from .problem import AttemptPose as AttemptPose
 from .problem import BasePoseRule as BasePoseRule
 from .problem import PoseCost as PoseCost
 from .problem import PoseMask as PoseMask
+from .problem import PoseOutcomes as PoseOutcomes
 from .problem import PoseRule as PoseRule
 from .problem import Problem as Problem
 from .problem import Search as Search

@@ -11,6 +11,8 @@ import heapq
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +32,7 @@ from .area import (
 from .config import PlaceConfig
 from .grasp_scores import GraspModeScorer, attraction
 from .pose_cost import PoseCosts, Robustness, can_be_robust, robustness_of
-from .problem import Problem, Search
+from .problem import PoseOutcomes, Problem, Search
 from .shortlist import (
     Candidate,
     ClearPoses,
@@ -220,9 +222,7 @@ def _checked_steps(
     limit = best.known - _MIN_GAIN * config.weight_driving
     travel = problem.travel_cost(poses)
     poses, travel = poses[np.isfinite(travel)], travel[np.isfinite(travel)]
-    clear = clear_poses(problem, poses[costs.before_path(poses, travel) < limit], Search())
-    if clear is None:
-        return
+    clear = clear_poses(problem, poses[costs.before_path(poses, travel) < limit])
     left = clear.reached(problem, score, on_grid=False)
     known = costs.before_path(left.poses, left.travel)
     order = np.argsort(known, kind="stable")
@@ -235,9 +235,8 @@ def _checked_steps(
         order = order[can_be_robust(problem, score, config, left.poses[order], least)]
     # Only poses that are checked count as samples.
     for i in order[:_MAX_CHECKS]:
-        clear = clear_poses(problem, left.poses[i : i + 1], found)
-        if clear is None:
-            return
+        clear = clear_poses(problem, left.poses[i : i + 1])
+        found.note(clear.every, clear.poses.outcomes)
         one = clear.reached(problem, score, on_grid=False)
         passed = screen(problem, one, np.arange(len(one.poses)), config.grasps, found)
         for index, path in passed.items():
@@ -297,36 +296,81 @@ def _search(
     corners: Float[np.ndarray, "2 2"],
     found: Search,
 ) -> None:
+    """Check rounds of samples, then the grid; only the grid where it reaches nothing either."""
     frame = task_frame(problem.geometry)
-    for local, on_grid in _rounds(corners, config, rng):
+    grid = _Grid(problem, config, frame, corners) if _has_grid(config) else None
+    for local in _samples(corners, config, rng):
         look()
-        clear = _clear(problem, frame, local, config if on_grid else None, found)
+        clear = clear_poses(problem, compose(frame, local))
+        found.note(clear.every, clear.poses.outcomes)
+        reached = 0
         for score in problem.mode_scorers:
-            reached = clear.reached(problem, score, on_grid=on_grid)
-            for shortlist in _home_first(problem, reached, config):
+            left = clear.reached(problem, score, on_grid=False)
+            reached += len(left.poses)
+            for shortlist in _home_first(problem, left, config):
                 waiting = Waiting.of(problem, score, PoseCosts.of(problem, config))
-                if on_grid:
-                    _check_grid(problem, shortlist, found, waiting)
-                else:
-                    _check_samples(problem, score, shortlist, rng, found, waiting)
-                base = found.base
-                found.robustness = None if base is None else waiting.known_robustness(base)
-                if found.motion is not None:
+                _check_samples(problem, score, shortlist, rng, found, waiting)
+                if _is_done(found, waiting):
                     return
+        if not reached and grid is not None and not grid.reaches:
+            break
+    if grid is None:
+        return
+    look()
+    found.note(grid.clear.every, grid.clear.poses.outcomes)
+    for score, left in zip(problem.mode_scorers, grid.reached(), strict=False):
+        for shortlist in _home_first(problem, left, config):
+            waiting = Waiting.of(problem, score, PoseCosts.of(problem, config))
+            _check_grid(problem, shortlist, found, waiting)
+            if _is_done(found, waiting):
+                return
 
 
-def _clear(
-    problem: Problem,
-    frame: Float[np.ndarray, "3"],
-    local: Float[np.ndarray, "n 3"],
-    grid: PlaceConfig | None,
-    found: Search,
-) -> ClearPoses:
-    """Return the clear poses of a round in the task frame; `grid` is set if they are the grid."""
-    poses, stands = compose(frame, local), None
-    if grid is not None:
-        stands = grid_standing(problem.geometry, poses, local, grid.grid_cell, grid.grid_turn)
-    return clear_poses(problem, poses, found, stands)
+def is_within_reach(problem: Problem, config: PlaceConfig) -> bool:
+    """Return whether any clear base pose of the grid reaches any grasp mode."""
+    corners = sampling_box(problem.geometry)
+    if corners is None or problem.infeasible_reason:
+        return False
+    return _Grid(problem, config, task_frame(problem.geometry), corners).reaches
+
+
+def _is_done(found: Search, waiting: Waiting) -> bool:
+    """Return whether a base pose was found, and note how robust it is."""
+    found.robustness = None if found.base is None else waiting.known_robustness(found.base)
+    return found.motion is not None
+
+
+@dataclass
+class _Grid:
+    """The grid of a problem: which of its poses are clear, and what they reach, each once."""
+
+    problem: Problem
+    config: PlaceConfig
+    frame: Float[np.ndarray, "3"]
+    corners: Float[np.ndarray, "2 2"]
+    _reached: list[Shortlist] = field(default_factory=list)
+    """For the first scorers."""
+
+    @cached_property
+    def clear(self) -> ClearPoses:
+        """Return the clear poses."""
+        config, local = self.config, grid_poses(self.corners, self.config)
+        poses = compose(self.frame, local)
+        geometry = self.problem.geometry
+        stands = grid_standing(geometry, poses, local, config.grid_cell, config.grid_turn)
+        return clear_poses(self.problem, poses, stands)
+
+    def reached(self) -> Iterator[Shortlist]:
+        """Yield the poses from which some grasp mode of each scorer is within reach."""
+        for k, score in enumerate(self.problem.mode_scorers):
+            if k == len(self._reached):
+                self._reached.append(self.clear.reached(self.problem, score, on_grid=True))
+            yield self._reached[k]
+
+    @property
+    def reaches(self) -> bool:
+        """Return whether any grasp mode is within reach of any pose."""
+        return any(len(left.poses) for left in self.reached())
 
 
 def _home_first(problem: Problem, left: Shortlist, config: PlaceConfig) -> tuple[Shortlist, ...]:
@@ -386,10 +430,12 @@ def iter_searches(
     problem = replace(problem, departure=None)
     frame = task_frame(problem.geometry)
     costs = PoseCosts.of(problem, config)
-    for local, on_grid in _rounds(corners, config, rng):
+    grid = _Grid(problem, config, frame, corners)
+    for local in chain(_samples(corners, config, rng), [None] if _has_grid(config) else []):
         look()
-        found = Search()
-        clear = _clear(problem, frame, local, config if on_grid else None, found)
+        found, on_grid = Search(), local is None
+        clear = grid.clear if local is None else clear_poses(problem, compose(frame, local))
+        found.note(clear.every, clear.poses.outcomes)
         modes = [
             (clear.reached(problem, score, on_grid=on_grid), Waiting.of(problem, score, costs))
             for score in problem.mode_scorers
@@ -438,7 +484,8 @@ def _check_in_order(
     problem: Problem, poses: Float[np.ndarray, "n 3"], config: PlaceConfig, found: Search
 ) -> None:
     """Check base poses until one works; all grasp modes at one before the next."""
-    clear = cull(problem, poses, found)
+    clear = cull(problem, poses)
+    found.note(poses, clear.outcomes)
     modes = [
         clear.reached(score(problem.reach, clear.poses), problem.path_rules)
         for score in problem.mode_scorers
@@ -460,7 +507,7 @@ def infeasible_search(problem: Problem) -> Search:
     outcome = PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE, _too_high(problem.geometry))
     if problem.infeasible_reason:
         outcome = PoseOutcome(PoseStatus.TASK_INFEASIBLE, problem.infeasible_reason)
-    found.note(np.zeros((1, 3)), np.array([outcome], object))
+    found.note(np.zeros((1, 3)), PoseOutcomes([outcome]))
     return found
 
 
@@ -474,24 +521,30 @@ def _too_high(geometry: PlacementGeometry) -> str:
     return f" in height: {worst:.2f} m is too {'high' if worst > geometry.shoulder[2] else 'low'}"
 
 
-def _rounds(
+def _has_grid(config: PlaceConfig) -> bool:
+    """Return whether the search ends with a grid."""
+    return config.grid or config.method == "exhaustive"
+
+
+def _samples(
     corners: Float[np.ndarray, "2 2"], config: PlaceConfig, rng: np.random.Generator
-) -> Iterator[tuple[Float[np.ndarray, "n 3"], bool]]:
-    """Yield the samples of each round, in the task frame, and whether they are the grid (last)."""
-    if config.method != "exhaustive":
-        for r in range(config.rounds):
-            unit = latin_hypercube(rng, config.count * 2**r, 3)
-            low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
-            yield low + unit * (high - low), False
-        if not config.grid:
-            return
+) -> Iterator[Float[np.ndarray, "n 3"]]:
+    """Yield the samples of each round, in the task frame."""
+    for r in range(config.rounds if config.method != "exhaustive" else 0):
+        unit = latin_hypercube(rng, config.count * 2**r, 3)
+        low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
+        yield low + unit * (high - low)
+
+
+def grid_poses(corners: Float[np.ndarray, "2 2"], config: PlaceConfig) -> Float[np.ndarray, "n 3"]:
+    """Return the poses of the grid, in the task frame."""
     x, y = (
         np.arange(np.floor(lo / config.grid_cell), np.ceil(hi / config.grid_cell) + 1)
         * config.grid_cell
         for lo, hi in corners.T
     )
     yaw = np.radians(np.arange(-180.0, 180.0, config.grid_turn))
-    yield np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3), True
+    return np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)
 
 
 def _check_samples(

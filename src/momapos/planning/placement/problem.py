@@ -168,13 +168,58 @@ class DepartureCheck(Protocol):
         ...
 
 
+class PoseOutcomes:
+    """The outcomes of some base poses. Most poses share one, so each has the index of a kind."""
+
+    def __init__(self, outcomes: Sequence[PoseOutcome]) -> None:
+        self.kinds: list[PoseOutcome] = []
+        self._index: dict[PoseOutcome, int] = {}
+        self.kind = np.array([self._kind_of(one) for one in outcomes], np.int32)
+
+    @classmethod
+    def all_the_same(cls, outcome: PoseOutcome, count: int) -> PoseOutcomes:
+        """Return one outcome for a number of base poses."""
+        found = cls([outcome])
+        found.kind = np.zeros(count, np.int32)
+        return found
+
+    def __setitem__(
+        self, rows: int | np.ndarray, outcome: PoseOutcome | Sequence[PoseOutcome]
+    ) -> None:
+        one = isinstance(outcome, PoseOutcome)
+        self.kind[rows] = (
+            self._kind_of(outcome) if one else [self._kind_of(each) for each in outcome]
+        )
+
+    def _kind_of(self, outcome: PoseOutcome) -> int:
+        """Return the index of a kind, which may be new."""
+        index = self._index.setdefault(outcome, len(self.kinds))
+        if index == len(self.kinds):
+            self.kinds.append(outcome)
+        return index
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __getitem__(self, row: int) -> PoseOutcome:
+        return self.kinds[self.kind[row]]
+
+    def __iter__(self) -> Iterator[PoseOutcome]:
+        return (self.kinds[k] for k in self.kind.tolist())
+
+    def counts(self) -> dict[PoseOutcome, int]:
+        """Return how often each kind occurs."""
+        counts = np.bincount(self.kind, minlength=len(self.kinds)).tolist()
+        return {one: count for one, count in zip(self.kinds, counts, strict=True) if count}
+
+
 @dataclass(eq=False)
 class Search:
     """The base poses examined so far and the best one."""
 
     poses: list[Float[np.ndarray, "n 3"]] = field(default_factory=list)
-    outcomes: list[np.ndarray] = field(default_factory=list)
-    """A `PoseOutcome` of each pose."""
+    outcomes: list[PoseOutcomes] = field(default_factory=list)
+    """The outcome of each pose."""
     checked: int = 0
     """Number of poses checked for an arm path [-]."""
     base: Float[np.ndarray, "3"] | None = None
@@ -200,7 +245,7 @@ class Search:
             self.timed_out = self.motion is None
             self.ended_early |= self.motion is not None
 
-    def note(self, poses: Float[np.ndarray, "n 3"], outcomes: np.ndarray) -> None:
+    def note(self, poses: Float[np.ndarray, "n 3"], outcomes: PoseOutcomes) -> None:
         """Add a round; the caller writes into `outcomes` later."""
         self.poses.append(poses)
         self.outcomes.append(outcomes)
@@ -221,9 +266,9 @@ class Search:
         """Return base poses of the last round that are within reach but have no arm path."""
         if not self.poses:
             return np.zeros((0, 3))
-        every = self.outcomes[-1].tolist()
-        wanted = {key: one.status in NO_PATH for key, one in _distinct(every).items()}
-        return self.poses[-1][[wanted[key] for key in map(id, every)]]
+        last = self.outcomes[-1]
+        wanted = np.array([one.status in NO_PATH for one in last.kinds], bool)
+        return self.poses[-1][wanted[last.kind]]
 
     def merge(self, other: Search, *, reasons: bool = False) -> None:
         """Add the result of another search.
@@ -243,43 +288,41 @@ class Search:
         self.cost, self.robustness = other.cost, other.robustness
         if not reasons:
             assert other.base is not None
-            feasible = PoseOutcome(PoseStatus.FEASIBLE)
-            self.note(other.base[None], np.array([feasible], object))
+            self.note(other.base[None], PoseOutcomes([PoseOutcome(PoseStatus.FEASIBLE)]))
 
     @property
     def progress(self) -> tuple[int, int]:
         """Return how far the checks of any base pose came, see `PoseOutcome.progress`."""
-        distinct = {id(one): one for group in self.outcomes for one in group.tolist()}
-        return max((one.progress for one in distinct.values()), default=(-1, 0))
+        return max((one.progress for one in self.counts()), default=(-1, 0))
+
+    def counts(self) -> Counter[PoseOutcome]:
+        """Count the base poses by outcome."""
+        counts: Counter[PoseOutcome] = Counter()
+        for group in self.outcomes:
+            counts.update(group.counts())
+        return counts
 
     def candidates(self) -> Candidates:
         """Count the outcomes for the plan."""
-        every = np.concatenate([np.zeros(0, object), *self.outcomes]).tolist()
-        shared = _distinct(every)
-        counts: Counter[PoseOutcome] = Counter()
-        for key, count in Counter(map(id, every)).items():
-            if shared[key].status not in _UNCOUNTED:
-                counts[shared[key]] += count
+        counts = self.counts()
+        rejected = [one for one in counts if one.status not in _UNCOUNTED]
         words: Counter[str] = Counter()
-        for outcome, count in counts.items():
-            words[outcome.counted] += count
-        nearest = None if self.motion is not None else self._nearest(every, list(counts))
-        return Candidates(len(every), self.checked, dict(words.most_common()), nearest)
+        for outcome in rejected:
+            words[outcome.counted] += counts[outcome]
+        nearest = None if self.motion is not None else self._nearest(rejected)
+        return Candidates(counts.total(), self.checked, dict(words.most_common()), nearest)
 
-    def _nearest(
-        self, every: Sequence[PoseOutcome], rejected: Sequence[PoseOutcome]
-    ) -> NearestMiss | None:
+    def _nearest(self, rejected: Sequence[PoseOutcome]) -> NearestMiss | None:
         """Return the first of the base poses whose checks came farthest, up to the arm at least."""
         best = max(rejected, key=lambda one: one.progress, default=None)
         if best is None or best.progress < PoseOutcome(PoseStatus.NO_GRASP_IN_REACH).progress:
             return None
-        x, y, yaw = np.concatenate(self.poses)[every.index(best)].tolist()
-        return NearestMiss((x, y, yaw), str(best))
-
-
-def _distinct(outcomes: Sequence[PoseOutcome]) -> dict[int, PoseOutcome]:
-    """Return outcomes by identity: most poses share one, so that no text needs hashing."""
-    return dict(zip(map(id, outcomes), outcomes, strict=True))
+        for poses, group in zip(self.poses, self.outcomes, strict=True):
+            rows = np.flatnonzero(np.array([one == best for one in group.kinds], bool)[group.kind])
+            if len(rows):
+                x, y, yaw = poses[rows[0]].tolist()
+                return NearestMiss((x, y, yaw), str(best))
+        raise AssertionError("the outcome is one of those that were counted")
 
 
 @dataclass(frozen=True, eq=False)

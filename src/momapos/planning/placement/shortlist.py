@@ -13,7 +13,7 @@ from momapos.model.records import ArmPathResult, PoseOutcome, PoseStatus
 
 from .area import BaseStatus, base_pose_status
 from .grasp_scores import GraspModeScorer, GraspModeScores
-from .problem import PoseRule, Problem, Search, fitted, rules
+from .problem import PoseOutcomes, PoseRule, Problem, Search, fitted, rules
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -37,8 +37,8 @@ class Shortlist:
     """Index of each pose in the round."""
     travel: Float[np.ndarray, " n"]
     """Driving length to each pose [m]."""
-    outcomes: np.ndarray
-    """Outcomes of the whole round, shared by all its shortlists."""
+    outcomes: PoseOutcomes
+    """PoseOutcomes of the whole round, shared by all its shortlists."""
     tried: Bool[np.ndarray, " m"]
     """Which poses of the whole round were screened for an arm path."""
     mode_scores: GraspModeScores | None = None
@@ -94,7 +94,6 @@ class Shortlist:
 def cull(
     problem: Problem,
     poses: Float[np.ndarray, "n 3"],
-    found: Search,
     stands: StandingCodes | None = None,
 ) -> Shortlist:
     """Drop poses by base collision, driving path, region and filters.
@@ -102,11 +101,10 @@ def cull(
     Args:
         problem: Scene, task and checks.
         poses: Base poses (x [m], y [m], yaw [rad]).
-        found: Takes their outcomes.
         stands: See `base_pose_status`.
     """
     status, _ = base_pose_status(problem.geometry, poses, stands)
-    outcomes = np.full(len(poses), NOT_TRIED, object)
+    outcomes = PoseOutcomes.all_the_same(NOT_TRIED, len(poses))
     for code, outcome in BASE_OUTCOMES.items():
         outcomes[status == code] = outcome
     row = np.flatnonzero(status == BaseStatus.CLEAR)
@@ -120,7 +118,6 @@ def cull(
         left.keep(rule.keeps(left.poses, left.travel), rule.otherwise)
     if problem.keep_poses is not None:
         left.keep(problem.keep_poses(left.poses), PoseOutcome(PoseStatus.FILTERED))
-    found.note(poses, outcomes)
     return left
 
 
@@ -145,6 +142,8 @@ class Candidate:
 class ClearPoses:
     """The poses of one round at which the base stands clear."""
 
+    every: Float[np.ndarray, "m 3"]
+    """All poses of the round."""
     poses: Shortlist
     own: Int[np.ndarray, " m"] | None
     """The only grasp mode of each pose of the round, if they are fitted to one."""
@@ -158,17 +157,14 @@ class ClearPoses:
 
 
 def clear_poses(
-    problem: Problem,
-    poses: Float[np.ndarray, "n 3"],
-    found: Search,
-    stands: StandingCodes | None = None,
+    problem: Problem, poses: Float[np.ndarray, "n 3"], stands: StandingCodes | None = None
 ) -> ClearPoses:
     """Fit and cull the poses of a round."""
     poses, own = fitted(problem.fit, problem.geometry, poses)
-    clear = cull(problem, poses, found, stands if own is None else None)
+    clear = cull(problem, poses, stands if own is None else None)
     if own is not None:
         clear.keep(own[clear.row] >= 0, PoseOutcome(PoseStatus.TOO_FEW_JOINTS))
-    return ClearPoses(clear, own)
+    return ClearPoses(poses, clear, own)
 
 
 def screen(
