@@ -28,7 +28,9 @@ from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from momapos.planning.regrasp import TwoGrasps, iter_two_grasps, two_grasp_searches
+from momapos.planning import search_setup
+from momapos.planning.regrasp import TwoGrasps, iter_two_grasps
+from momapos.planning.search_setup import SearchSetup
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 from momapos.planning.task_setup import PreparedTask, prepare
@@ -243,34 +245,36 @@ def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
         assert max(min(part.distance(p, b) for b, p in enumerate(row)) for row in points) <= 0.06
 
 
-@pytest.mark.parametrize("in_reach", [True, False])
-def test_values_are_searched_in_turn_while_some_base_pose_reaches_both_grasps(
-    in_reach: bool,
+@pytest.mark.parametrize(
+    ("in_reach", "ends", "prepared"),
+    [
+        ((True, True), "aaa", [0, 1, 2]),
+        ((False, True), "aaa", []),
+        ((False, False), "aaa", []),
+        ((True, False), "aba", [0, 1]),
+    ],
+    ids=["in reach", "not both", "not even ends", "ends that are added"],
+)
+def test_two_grasps_are_prepared_where_some_base_pose_reaches_both(
+    kitchen: Scene,
+    robot: Robot,
+    monkeypatch: pytest.MonkeyPatch,
+    in_reach: tuple[bool, bool],
+    ends: str,
+    prepared: list[int],
 ) -> None:
-    searches = searches_of(in_reach, ends=[{b"a"}, {b"a"}, {b"a"}])
-    if in_reach:
-        samples = [(value, "samples", 2) for value in range(3)]
-        assert searches == samples + [(value, "grid", 0) for value in range(3)]
-    else:
-        assert searches == [(0, "samples", 2), (0, "grid", 0)]
-
-
-def test_a_value_that_adds_an_end_is_searched_after_one_out_of_reach() -> None:
-    assert searches_of(False, ends=[{b"a"}, {b"a", b"b"}, {b"b"}]) == [
-        (0, "samples", 2), (0, "grid", 0), (1, "samples", 2), (1, "grid", 0),
-    ]  # fmt: skip
-
-
-def searches_of(in_reach: bool, ends: list[set[bytes]]) -> list[tuple[int, str, int]]:
-    """Return value, kind and rounds of the searches for values with these ends of the push."""
-    ready = (
-        SimpleNamespace(in_reach=in_reach, value=value, ends=frozenset(end))
+    doors = [
+        SimpleNamespace(
+            ends=frozenset({end.encode()}),
+            is_within_reach=lambda *_: in_reach,
+            prepared=lambda *_, value=value: value,
+        )
         for value, end in enumerate(ends)
-    )
-    return [
-        (two.value, "grid" if place.grid else "samples", place.rounds)  # type: ignore[attr-defined]
-        for two, place in two_grasp_searches(ready, PlaceConfig(rounds=2))  # type: ignore[arg-type]
     ]
+    monkeypatch.setattr(search_setup, "ajar_doors", lambda *_: iter(doors))
+    query = PlacementQuery.of(kitchen, robot, make_task(kitchen, "open", "fridge", "door_hinge"))
+    setup = SimpleNamespace(query=query, prepared=None, problem=None)
+    assert list(SearchSetup._two_grasps(setup, PlaceConfig())) == prepared  # type: ignore[arg-type]
 
 
 def test_without_pushing_there_is_no_second_grasp_and_no_other_family(

@@ -60,12 +60,6 @@ class TwoMotions:
         """Return the number of score columns of the first grasp, which precede the second's."""
         return len(self.pulling.Ts_world_tool)
 
-    @property
-    def ends(self) -> frozenset[bytes]:
-        """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
-        Ts = np.round(self.pushing.Ts_world_tool[:, -1], 6) + 0.0
-        return frozenset(T.tobytes() for T in Ts)
-
     def scorer(self, report: Callable[[int], None] = lambda _: None) -> GraspModeScorer:
         """Return the scorer of both grasps, see `two_grasp_scorer`."""
         return two_grasp_scorer(*map(_at_waypoints, (self.pulling, self.pushing)), report)
@@ -268,8 +262,24 @@ class AjarDoor:
     opened: Scene
     """The scene with the door ajar."""
     pull: Task
-    motions: TwoMotions
-    """With all grasps."""
+    pushing: TaskMotion
+    """The second motion, with all grasps."""
+    config: PipelineConfig
+    watch: Stopwatch
+
+    @property
+    def ends(self) -> frozenset[bytes]:
+        """Return the tool poses at the end of the second grasp, rounded to the micrometer."""
+        Ts = np.round(self.pushing.Ts_world_tool[:, -1], 6) + 0.0
+        return frozenset(T.tobytes() for T in Ts)
+
+    @cached_property
+    def motions(self) -> TwoMotions:
+        """Return both motions, with all grasps."""
+        whole, config = self.whole, replace(self.config.motion, home_again=True)
+        with self.watch.stage("model"):
+            pulling = task_motion(whole.scene, whole.robot, self.pull, config)
+        return TwoMotions(pulling, self.pushing)
 
     def is_within_reach(self, problem: Problem, place: PlaceConfig) -> tuple[bool, bool]:
         """Return whether some base pose of the grid reaches both grasps, and the end of both.
@@ -282,22 +292,15 @@ class AjarDoor:
         found = is_within_reach(self.motions.problem(problem, ends.append), place)
         return found, any(ends)
 
-    def prepared(
-        self,
-        config: PipelineConfig,
-        seed: int,
-        keep_grasps: GraspFilter | None,
-        watch: Stopwatch,
-    ) -> TwoGrasps | None:
+    def prepared(self, seed: int, keep_grasps: GraspFilter | None) -> TwoGrasps | None:
         """Prepare both grasps; None if the hand has no free one.
 
         Args:
-            config: How to plan.
             seed: The same seed gives the same motion.
             keep_grasps: Returns which grasps may be used for pulling.
-            watch: Counts the stages.
         """
         whole, robot = self.whole, self.whole.robot
+        config, watch = self.config, self.watch
         clearance = whole.geometry.clearance
         first = prepare(
             whole.scene, robot, self.pull, config, clearance=clearance,
@@ -307,7 +310,7 @@ class AjarDoor:
             return None
         second = prepare(
             self.opened, robot, whole.task, config, clearance=clearance,
-            motion=self.motions.pushing, watch=watch,
+            motion=self.pushing, watch=watch,
         )  # fmt: skip
         if second.no_grasp:
             return None
@@ -349,7 +352,7 @@ def iter_two_grasps(
     """Yield the task with two grasps, prepared, see `ajar_doors` and `AjarDoor.prepared`."""
     watch = watch or Stopwatch(lambda: 0.0)
     for door in ajar_doors(whole, config, watch):
-        two = door.prepared(config, seed, keep_grasps, watch)
+        two = door.prepared(seed, keep_grasps)
         if two is not None:
             yield two
 
@@ -385,6 +388,5 @@ def _ajar_door(
         scene.with_joint(task.object, task.joint, value),
     )
     with watch.stage("model"):
-        pulling = task_motion(scene, robot, pull, replace(config.motion, home_again=True))
         pushing = task_motion(opened, robot, task, config.motion, inside=True)
-    return AjarDoor(whole, opened, pull, TwoMotions(pulling, pushing))
+    return AjarDoor(whole, opened, pull, pushing, config, watch)

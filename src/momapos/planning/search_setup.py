@@ -120,14 +120,13 @@ class SearchSetup:
         query = self.query
         beyond: frozenset[bytes] = frozenset()
         for door in ajar_doors(self.prepared, query.config, query.watch):
-            if door.motions.ends <= beyond:
+            if door.ends <= beyond:
                 continue
-            reached, reached_end = door.is_within_reach(self.problem, place)
+            with query.watch.stage("search"):
+                reached, reached_end = door.is_within_reach(self.problem, place)
             if not reached_end:
-                beyond |= door.motions.ends
-            two = None
-            if reached:
-                two = door.prepared(query.config, query.seed, query.keep_grasps, query.watch)
+                beyond |= door.ends
+            two = door.prepared(query.seed, query.keep_grasps) if reached else None
             if two is not None:
                 yield two
 

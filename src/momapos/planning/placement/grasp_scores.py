@@ -130,13 +130,15 @@ def two_grasp_scorer(
 
     def score(reach: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> GraspModeScores:
         scores = np.zeros((len(poses), len(first) + len(second)), np.float32)
-        one = reach.min_score(poses, first)
-        rows = np.flatnonzero(one.max(1, initial=0.0) > 0)
-        rows = rows[reach.min_score(poses[rows], end).max(1, initial=0.0) > 0]
+        # Few poses reach the end of the second grasp.
+        rows = np.flatnonzero(reach.min_score(poses, end).max(1, initial=0.0) > 0)
+        one = reach.min_score(poses[rows], first)
+        reached = one.max(1, initial=0.0) > 0
+        rows, one = rows[reached], one[reached]
         report(len(rows))
         other = reach.min_score(poses[rows], second)
         both = other.max(1, initial=0.0) > 0
-        scores[rows[both]] = np.concatenate([one[rows[both]], other[both]], axis=1)
+        scores[rows[both]] = np.concatenate([one[both], other[both]], axis=1)
         return GraspModeScores(scores, scores.shape[1])
 
     return score
