@@ -27,7 +27,7 @@ from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
 from momapos.planning.search_setup import prepare_search
 
-QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1, grid=False), timeout=300.0)
+QUICK = PipelineConfig(place=PlaceConfig(count=256, polish=1, grid=False), timeout=300.0)
 START = np.array([-2.8, -0.8, 0.0])
 
 

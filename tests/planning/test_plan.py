@@ -32,7 +32,7 @@ from momapos.planning.tour import Request
 from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
-QUICK = PlaceConfig(count=256, improve=1)
+QUICK = PlaceConfig(count=256, polish=1)
 
 
 def plan_cabinet(

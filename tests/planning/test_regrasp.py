@@ -20,19 +20,20 @@ from momapos.model.records.plans import Motion, PlacementPlan
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
+from momapos.planning import search_setup
 from momapos.planning.arm_motion.arm_planner import quick_config
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
+from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach_map
 from momapos.planning.reachability.reach_map import ReachMap
-from momapos.planning import search_setup
 from momapos.planning.regrasp import TwoGrasps, iter_two_grasps
-from momapos.planning.search_setup import SearchSetup
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
+from momapos.planning.search_setup import SearchSetup
 from momapos.planning.task_setup import PreparedTask, prepare
 from momapos.verification import HOLD_CHECK
 from momapos.verification.exact_check import PlanVerifier

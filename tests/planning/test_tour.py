@@ -107,7 +107,7 @@ def test_a_stop_from_which_the_next_task_is_infeasible_moves_to_another_region(
     corridor = corridor_room(tmp_path, end=4.0, extra=mug)
     requests = [Request("open", "cabinet", None, 1.2), Request("pick", "mug")]
     config = PipelineConfig(
-        place=PlaceConfig(count=256, improve=1, rounds=2, grid=False), timeout=300.0
+        place=PlaceConfig(count=256, polish=1, rounds=2, grid=False), timeout=300.0
     )
     if not searched:
         monkeypatch.setattr("momapos.planning.tour.poses_in_other_regions", lambda *_: None)

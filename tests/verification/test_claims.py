@@ -360,7 +360,7 @@ def test_what_the_user_has_set_is_named_and_counts(tmp_path: Path) -> None:
 def test_a_plan_records_what_its_user_has_set(tmp_path: Path) -> None:
     kitchen, robot = load_scene("kitchen_small").with_mass("bottle", 0.3), load_robot("fetch")
     task = make_task(kitchen, "pick", "bottle")
-    config = PipelineConfig(place=PlaceConfig(count=256, improve=1))
+    config = PipelineConfig(place=PlaceConfig(count=256, polish=1))
     plan = plan_base_placement(kitchen, robot, task, config=config).plan
     assert plan.overrides.mass == {"bottle": 0.3}
     write_plan(plan, tmp_path / "plan.json")

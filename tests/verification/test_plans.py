@@ -28,7 +28,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files
 
-QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1))
+QUICK = PipelineConfig(place=PlaceConfig(count=256, polish=1))
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from momapos.verification.path_checks import wheel_checks
 from momapos.verification.plan_check import verify_files
 from momapos.workflows.run import run_plan
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 ROVERS: dict[str, list[Axle]] = {
     "front": at(REAR) + at(FRONT, steering=0.46),
     "rear": at(FRONT) + at(REAR, steering=0.5),

@@ -139,7 +139,10 @@ class TwoGrasps:
         self, base: Float[np.ndarray, "3"], screened: ArmPathResult, ways: Int[np.ndarray, " k"]
     ) -> Attempt:
         """Complete both grasps at a base pose: approach, path between them, exact check."""
-        pulls, pushes = ways[ways < self.motions.pulls], ways[ways >= self.motions.pulls] - self.motions.pulls
+        pulls, pushes = (
+            ways[ways < self.motions.pulls],
+            ways[ways >= self.motions.pulls] - self.motions.pulls,
+        )
         pulled = self.first(base, self._pulled[base.tobytes()], pulls)
         if pulled.motion is None:
             return pulled
@@ -321,9 +324,7 @@ class AjarDoor:
         return TwoGrasps(whole, one, other, config, seed)
 
 
-def ajar_doors(
-    whole: PreparedTask, config: PipelineConfig, watch: Stopwatch
-) -> Iterator[AjarDoor]:
+def ajar_doors(whole: PreparedTask, config: PipelineConfig, watch: Stopwatch) -> Iterator[AjarDoor]:
     """Yield the task with two grasps, for each value at which the hand may let go.
 
     Arms of fewer than six degrees of freedom cannot do it.

@@ -27,7 +27,7 @@ from momapos.planning.reachability import ReachMap
 from .base_paths import AreaRule, BasePaths, OnwardPaths, PassageRule
 from .carrying import Carrying
 from .query import PlacementQuery
-from .regrasp import TwoGrasps, ajar_doors, iter_two_grasps
+from .regrasp import TwoGrasps, ajar_doors
 from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks

@@ -225,8 +225,10 @@ class PlanVerifier:
         """Return the worst loads of a valid motion at a base pose x [m], y [m], yaw [rad]."""
         known = self._measured
         if known is None or known[0] != base_pose or known[1] is not motion:
-            known = base_pose, motion, self._loads(
-                base_pose, motion, self._placed(base_pose, motion)
+            known = (
+                base_pose,
+                motion,
+                self._loads(base_pose, motion, self._placed(base_pose, motion)),
             )
         return known[2].record(self._hand_load.mass)
 

@@ -40,7 +40,7 @@ from momapos.verification.exact_check import PlanVerifier
 from momapos.workflows.replanning import MIN_POSE_DISTANCE, NO_POSE_LEFT, YAW_WEIGHT, Drive
 from momapos.workflows.run import run_plan
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 Pose3 = Float[np.ndarray, "3"]
 START = np.array([1.9, -1.6, 1.5708])
 """Start pose in the small kitchen."""

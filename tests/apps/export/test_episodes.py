@@ -27,7 +27,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.simulation.run_record import RunMotion, RunRecord, Visit, with_files, write_run
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1))
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1))
 STAGES = ("drive", "drive", "drive", "approach", "grip", "manipulate", "manipulate")
 DOOR = (0.0, 0.0, 0.0, 0.0, 0.0, 0.2, 0.4)
 SIZE = (32, 24)

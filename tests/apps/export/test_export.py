@@ -28,7 +28,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 TOLERANCE = 1e-6
 
 

@@ -26,7 +26,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.simulation.run_record import RunMotion, RunRecord, Visit, with_files, write_run
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 TIMES = (0.0, 0.1, 0.2, 0.2, 0.3, 0.4)
 STAGES = ("drive", "drive", "drive", "approach", "approach", "manipulate")
 DOOR = (0.0, 0.0, 0.0, 0.0, 0.1, 0.3)

@@ -33,7 +33,7 @@ COUNT = 60
 def plan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     kitchen, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(kitchen, "open", "fridge", "door_hinge")
-    config = PipelineConfig(place=PlaceConfig(count=256, improve=1))
+    config = PipelineConfig(place=PlaceConfig(count=256, polish=1))
     found = plan_base_placement(kitchen, robot, task, Everywhere(), config=config).plan
     path = tmp_path_factory.mktemp("plan") / "fridge.json"
     write_plan(with_times(found, robot), path)

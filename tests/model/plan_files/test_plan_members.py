@@ -21,7 +21,7 @@ from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.config import PlaceConfig
 from momapos.verification.plan_check import verify_files
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from momapos.verification.exact_check import PlanVerifier
 
 
 def ask(scene: Scene, robot: Robot, method: Method, *, seed: int = 0) -> PlacementResult:
-    place = PlaceConfig(method=method, count=256, improve=1, grid_cell=0.2, grid_turn=90.0)
+    place = PlaceConfig(method=method, count=256, polish=1, grid_cell=0.2, grid_turn=90.0)
     config = PipelineConfig(place=place, timeout=120.0)
     task = make_task(scene, "open", "cabinet", to=0.8)
     return plan_by_method(scene, robot, task, Everywhere(), config=config, seed=seed)

@@ -23,7 +23,7 @@ from momapos.planning.result import PlacementResult
 from momapos.verification.exact_check import PlanVerifier
 from rooms import Everywhere, cabinet_room
 
-QUICK = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=600.0)
+QUICK = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=600.0)
 PORCH = """, {"name": "porch", "category": "porch", "urdf": "porch.urdf", "scale": 1.0,
  "joints": {}, "pose": {"xyz": [0, -1.2, 0], "wxyz": [1, 0, 0, 0]}}"""
 """Four thin posts: the box around them covers the floor in front of the cabinet."""

@@ -31,7 +31,7 @@ from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.reachability.map_store import load_reach
 from momapos.verification.exact_check import PlanVerifier
 
-CONFIG = PipelineConfig(place=PlaceConfig(count=256, improve=1), timeout=300.0)
+CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 STRETCHED = np.array([0.15, 0.0, -0.1, 0.0, 0.2, 0.0, 0.2, 0.0])
 """A state of the Fetch with its arm out in front."""
 

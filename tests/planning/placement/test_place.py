@@ -123,7 +123,7 @@ def test_the_grid_search_returns_its_cheapest_pose(geometry: PlacementGeometry) 
     assert found.cost == pytest.approx(np.linalg.norm(passed[:, :2] - START[:2], axis=1).min())
 
 
-@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"polish": 4}])
 def test_poses_from_which_the_arm_can_return_home_come_first(
     geometry: PlacementGeometry, changes: dict[str, int]
 ) -> None:
@@ -156,7 +156,7 @@ def test_no_solution_is_lost_if_the_arm_cannot_return_home(
 
 
 @pytest.mark.parametrize("knows", [False, True])
-@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"improve": 4}])
+@pytest.mark.parametrize("changes", [{}, {"rounds": 0}, {"polish": 4}])
 def test_poses_from_which_the_robot_can_drive_on_come_first(
     geometry: PlacementGeometry, changes: dict[str, int], knows: bool
 ) -> None:
@@ -219,10 +219,36 @@ def test_the_search_steps_to_equally_robust_poses_where_none_is_fully_robust(
 ) -> None:
     everything = 3.0  # wider than the scene: no pose is fully robust
     costs = [
-        find(geometry, always, always, sweep_clearance=everything, improve=n, count=64).cost
+        find(geometry, always, always, sweep_clearance=everything, polish=n, count=64).cost
         for n in (0, 16)
     ]
     assert costs[1] < costs[0] - 0.05
+
+
+def test_without_polish_the_first_pose_that_works_is_taken_at_once(
+    geometry: PlacementGeometry,
+) -> None:
+    checked = []
+    for polish in (0, 16):
+        found = find(geometry, always, always, polish=polish, batch=1, count=64)
+        assert found.motion is not None
+        checked.append(found.checked)
+        assert (found.robustness is None) is (polish == 0)
+    assert checked[0] == 1 < checked[1]
+
+
+def test_where_the_grid_reaches_nothing_no_further_round_is_sampled(
+    geometry: PlacementGeometry,
+) -> None:
+    def nowhere(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        return np.zeros(len(poses), bool)
+
+    found = find(geometry, always, always, reached=nowhere, count=64)
+    assert found.is_no
+    samples, _grid = found.poses
+    assert len(samples) == 64
+    nothing_works = find(geometry, nowhere, always, reached=left, count=64)
+    assert len(nothing_works.poses) == 4  # three rounds and the grid
 
 
 def test_a_pose_is_found_where_none_is_robust(
@@ -239,11 +265,9 @@ def test_a_pose_is_found_where_none_is_robust(
 def test_checking_more_candidates_never_costs_more(
     geometry: PlacementGeometry,
 ) -> None:
-    costs = [find(geometry, always, always, batch=n, improve=0).cost for n in (1, 2, 8, 32)]
+    costs = [find(geometry, always, always, batch=n, polish=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
-    steps = [
-        find(geometry, always, always, batch=1, improve=n, count=32).cost for n in (0, 1, 2, 4)
-    ]
+    steps = [find(geometry, always, always, batch=1, polish=n, count=32).cost for n in (0, 1, 2, 4)]
     assert steps == sorted(steps, reverse=True)
     assert steps[-1] < steps[0] - 0.05
 

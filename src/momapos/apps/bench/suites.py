@@ -47,7 +47,7 @@ ABLATIONS = (
     *(f"ours:place.count={count}" for count in (128, 2048)),
     "ours:place.rounds=0",
     "ours:place.grid=false",
-    "ours:place.improve=0",
+    "ours:place.polish=0",
     "ours:place.miss_cost=0.0",
     "exhaustive",
 )

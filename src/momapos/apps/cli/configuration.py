@@ -20,6 +20,7 @@ from .options import (
     ArmOption,
     Flag,
     Number,
+    OptionalCount,
     OptionalFile,
     RobotOption,
     SettingsArg,
@@ -91,7 +92,7 @@ AlphaOption = Annotated[Number, optional("SCORE", DEFAULT.importance.resolved.al
 ScorerOption = Annotated[Optional[ScorerName], optional("SCORER", "reach")]  # noqa: UP045
 OWN = {
     "method": "place.method", "timeout": "timeout", "alpha": "importance.alpha",
-    "scorer": "importance.scorer",
+    "scorer": "importance.scorer", "polish": "place.polish",
 }  # fmt: skip
 """Fields that have an option of their own, by the option's name."""
 PIPELINE = tuple(item.name for item in fields(PipelineConfig))
@@ -116,6 +117,9 @@ class SearchOptions:
     alpha: Annotated[Number, optional("SCORE")] = None
     """Objects of lower importance stay boxes, in [0, 1] (default: 0.45 from a scan and in scenes of
     more than 50 objects, else 0)."""
+    polish: OptionalCount = None
+    """Maximum number of steps to cheaper and more robust base poses nearby; 0: the first one that
+    works, at once (default: 16)."""
     seed: int = 0
     """The same seed gives the same plan."""
     allow_assumed: Flag = False
@@ -127,8 +131,9 @@ class SearchOptions:
     def load_config(self, options: ConfigOptions, used: Sequence[str]) -> Configuration:
         """Read the configuration; see the function `load_config`."""
         return load_config(
-            options, used, method=self.method, timeout=self.timeout, alpha=self.alpha
-        )
+            options, used, method=self.method, timeout=self.timeout, alpha=self.alpha,
+            polish=self.polish,
+        )  # fmt: skip
 
 
 def load_config(options: ConfigOptions, used: Sequence[str], **own: Any) -> Configuration:

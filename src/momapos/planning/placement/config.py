@@ -35,8 +35,9 @@ class PlaceConfig:
     """Maximum number of grasps tried at one base pose, best reached first [-]."""
     batch: int = 2
     """Number of base poses whose arm paths are planned together (ours); the cheapest wins [-]."""
-    improve: int = 16
-    """Maximum number of improvement steps to cheaper base poses nearby (ours) [-]."""
+    polish: int = 16
+    """Maximum number of steps to cheaper base poses nearby (ours) [-]. 0: the first base pose that
+    works is taken at once, without a comparison of robustness."""
     margin: float = 0.03
     """Base position error in x and y from which an arm path should still exist (ours) [m]."""
     margin_turn: float = 1.0
@@ -80,10 +81,10 @@ class PlaceConfig:
     def __post_init__(self) -> None:
         refuse_below(self, 1, "count", "grasps", "batch")
         refuse_above(self, MAX_SAMPLES, "count", "grasps")
-        refuse_above(self, MAX_STEPS, "batch", "improve", "compared")
+        refuse_above(self, MAX_STEPS, "batch", "polish", "compared")
         refuse_above(self, MAX_ROUNDS, "rounds")
         refuse_values_below(
-            self, 0, "rounds", "improve", "miss_cost", "clearance", "compared", "margin",
+            self, 0, "rounds", "polish", "miss_cost", "clearance", "compared", "margin",
             "margin_turn", "sweep_clearance", "robust_radius", "robust_turn", "weight_driving",
             "weight_clearance", "weight_manipulability", "weight_effort",
         )  # fmt: skip

@@ -75,8 +75,8 @@ class Waiting:
     def of(cls, problem: Problem, score: GraspModeScorer, costs: PoseCosts) -> Waiting:
         """Start with no poses, as the costs are configured."""
         config = costs.config
-        if problem.fit is not None:  # an arm of few joints has no path next to a fitted pose
-            looks = 0.0
+        if problem.fit is not None or (config.method == "ours" and not config.polish):
+            looks = 0.0  # an arm of few joints has no path next to a fitted pose
         elif costs.robustness_first:
             looks = float(config.compared) if config.method == "ours" else 0.0
         else:
@@ -192,7 +192,7 @@ def cheaper_poses(
     better: list[Candidate] = []
     others: list[Candidate] = []
     around = 1.0
-    for _ in range(waiting.costs.config.improve):
+    for _ in range(waiting.costs.config.polish):
         best = better[0] if better else first
         for step in _checked_steps(problem, score, waiting, rng, found, best, around):
             if waiting.prefers(step, best):
