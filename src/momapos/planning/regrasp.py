@@ -13,7 +13,15 @@ from momapos.core import Stopwatch
 from momapos.core.geometry import pose_planar
 from momapos.model import with_close_states
 from momapos.model.collision import build_motions
-from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus, Task
+from momapos.model.records import (
+    ArmPathResult,
+    Attempt,
+    Family,
+    Motion,
+    PoseOutcome,
+    PoseStatus,
+    Task,
+)
 from momapos.model.scene import Scene, resistance_along, stays_in_place
 from momapos.model.urdf import opening_of
 from momapos.planning.arm_motion import (
@@ -62,7 +70,7 @@ class TwoMotions:
 
     def scorer(self, report: Callable[[int], None] = lambda _: None) -> GraspModeScorer:
         """Return the scorer of both grasps, see `two_grasp_scorer`."""
-        return two_grasp_scorer(*map(_at_waypoints, (self.pulling, self.pushing)), report)
+        return two_grasp_scorer(_at_waypoints(self.pulling), _at_waypoints(self.pushing), report)
 
     def problem(self, problem: Problem, report: Callable[[int], None]) -> Problem:
         """Return a search's problem with the base poses and the scores of two grasps."""
@@ -334,7 +342,7 @@ def ajar_doors(whole: PreparedTask, config: PipelineConfig, watch: Stopwatch) ->
         config: How to plan.
         watch: Counts the stages.
     """
-    pushes = "push" in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
+    pushes = Family.PUSH in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
     pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
     for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
         door = _ajar_door(whole, config, ajar, watch)

@@ -27,7 +27,7 @@ from momapos.planning.reachability import ReachMap
 from .base_paths import AreaRule, BasePaths, OnwardPaths, PassageRule
 from .carrying import Carrying
 from .query import PlacementQuery
-from .regrasp import TwoGrasps, ajar_doors
+from .regrasp import TwoGrasps, ajar_doors, iter_two_grasps
 from .result import PlacementResult, plan_of
 from .robust import RobustChecks
 from .sliding_grasp import SlidingHook, sliding_hooks
@@ -61,6 +61,15 @@ class SearchSetup:
     def slides(self) -> Iterator[SlidingHook]:
         """Yield the task with a hook that slides along the handle, if some hook can."""
         return sliding_hooks(self.prepared, self.feasible, self.query.config)
+
+    def multi_grasp_variants(self) -> Iterator[SlidingHook | TwoGrasps]:
+        """Yield all variants of the task with more than one grasp."""
+        query = self.query
+        yield from self.slides()
+        yield from iter_two_grasps(
+            self.prepared, query.config, query.seed, keep_grasps=query.keep_grasps,
+            watch=query.watch,
+        )  # fmt: skip
 
     def refine(self, found: Search, place: PlaceConfig) -> Search:
         """Check base poses again, from which coarse inverse kinematics may have missed an arm path.

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import Clock, InputError
 from momapos.core.geometry import rotation_angle, wrap_angle
 from momapos.model import time_motion
-from momapos.model.records import Hold, Motion, Task
+from momapos.model.records import Family, Hold, Motion, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
 from momapos.model.urdf import opening_of
@@ -347,7 +347,7 @@ def _stretches(
     for index, (first, last, held) in enumerate(cuts_of(motion)):
         part = section_of(motion, first, last)
         speed = config.speed
-        if held is not None and held.family == "push":
+        if held is not None and held.kind is Family.PUSH:
             most = min(speed.tool_speed, PUSH_SPEED)
             speed = replace(speed, tool_speed=most)
         # A placed object is let go first: there is nothing to carry.

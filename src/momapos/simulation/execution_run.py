@@ -17,7 +17,7 @@ import numpy as np
 from momapos.core import GRAVITY, SceneError
 from momapos.core.geometry import contains, edge_distances, invert, local_points, rotation_angle
 from momapos.model import Trajectory
-from momapos.model.records import Hold, Motion, Task
+from momapos.model.records import Family, Hold, Motion, Task
 from momapos.model.scene import SceneObject
 
 from .arm_control import (
@@ -369,12 +369,12 @@ class Stretch:
     @property
     def pushes(self) -> bool:
         """Whether the part is pushed instead of grasped."""
-        return self.hold is not None and self.hold.family == "push"
+        return self.hold is not None and self.hold.kind is Family.PUSH
 
     @property
     def one_sided(self) -> bool:
         """Whether one finger under load is enough."""
-        return self.hold is not None and self.hold.family == "hook"
+        return self.hold is not None and self.hold.kind.is_one_sided
 
 
 class ExecutionRun:

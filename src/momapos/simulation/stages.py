@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.core.geometry import invert, rotation_angle
 from momapos.model import Trajectory, time_motion
-from momapos.model.records import Hold, Motion
+from momapos.model.records import Family, Hold, Motion
 from momapos.model.robots import Robot
 
 from .arm_control import (
@@ -521,11 +521,11 @@ def grasp_here(
         run.detail = f"it is off by {100 * off:.1f} cm and {np.degrees(angle):.0f} deg"
         return Ending.ASTRAY
     run.observer.reaching = False
-    family = "" if hold is None else hold.family
+    family = Family.UNSTATED if hold is None else hold.kind
     if run.config.hold == "contact":
-        if family == "push":
+        if family is Family.PUSH:
             return None
-        q, one_sided = motion.q[0], family == "hook"
+        q, one_sided = motion.q[0], family.is_one_sided
         ending = run.close_fingers(q, one_sided=one_sided)
         if searches and ending is Ending.NOTHING_HELD and run.belief is not None:
             run.command_fingers(0.0)

@@ -18,7 +18,7 @@ import numpy as np
 
 from momapos.core import owner_cache
 from momapos.core.geometry import apply, invert
-from momapos.model.records import Motion
+from momapos.model.records import Family, Motion
 from momapos.model.urdf import Articulated
 
 from .exact_shapes import Shapes, element_pieces, join
@@ -45,8 +45,6 @@ _NUDGE = 0.1
 """Share of a joint's range by which it moves to find the direction in which it closes [-]."""
 _NEAR = 0.03
 """Elements of the part farther from the hand are ignored [m]."""
-_PUSHING = ("push", "hook")
-"""Families in which the part, if it stayed behind, would meet the hand."""
 _STILL = 1e-9
 """Smaller motions of a joint or a point don't count [rad] or [m]."""
 
@@ -219,7 +217,7 @@ def _corners(half: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 8 3"]:
 class _Grasp:
     """The hand and the part at one state."""
 
-    family: str
+    family: Family
     near: Shapes
     """Convex pieces of the part near the hand."""
     Ts_tool_near: Float[np.ndarray, "n 4 4"]
@@ -271,7 +269,7 @@ class HandChecker:
         worst = (-math.inf, "", "")
         for family, state in _held_states(motion, path, rigid=self.part.joint is None):
             forward, at = None, Ts_tool_body[state]
-            if family in _PUSHING or not hand.digits:
+            if family.leads or not hand.digits:
                 forward = self._forward(path, state, Ts_world_tool[state], Ts_world_body)
             gap, why = self._gap(_Grasp(family, near, near.placed(at[None])[0], forward))
             if gap > limits.hand_gap:
@@ -321,9 +319,9 @@ class HandChecker:
         for hold in motion.grasps:
             held = (path.at >= hold.first) & (path.at <= hold.last)
             held[: path.approach] = False
-            if hold.family == "suction":
+            if hold.kind.sticks:
                 shares[held] = size[held] / grip
-            elif hold.family != "push":
+            elif hold.kind.closes:
                 shares[held] = by_fingers[held]
         return shares
 
@@ -363,14 +361,14 @@ class HandChecker:
         found, hand = list[tuple[float, str]](), self.hand
         assert hand is not None
         family, far = grasp.family, self.limits.hand_gap + PRESS
-        if hand.digits and family not in ("push", "suction"):
+        if hand.digits and family.closes:
             found.append(self._fingers_gap(hand, grasp))
         closes = [self._meets(digit, grasp)[0] for digit in hand.digits]
-        hooks = family != "hook" or not closes or min(closes) < math.inf  # not a flat face
-        if grasp.forward is not None and family != "suction" and hooks:
+        hooks = not family.is_one_sided or not closes or min(closes) < math.inf  # not a flat face
+        if grasp.forward is not None and not family.sticks and hooks:
             ahead = self._meets(hand.pushed(grasp.forward, far), grasp)[0]
             found.append((ahead, "it is not behind it"))
-        if family == "suction" or (family == "" and len(hand.digits) < 2):
+        if family.sticks or (family is Family.UNSTATED and len(hand.digits) < 2):
             ahead = self._meets(hand.pushed(hand.approach, far), grasp)[0]
             found.append((ahead, "it does not face it"))
         return min(found, default=(math.inf, "no tool that it holds with"))
@@ -408,16 +406,16 @@ class HandChecker:
         return float(path.travel[state]) if firm else math.inf, path.direction[state]
 
 
-def _held_states(motion: Motion, path: DensePath, *, rigid: bool) -> list[tuple[str, int]]:
+def _held_states(motion: Motion, path: DensePath, *, rigid: bool) -> list[tuple[Family, int]]:
     """Return the family and the states to check of each hold."""
     if rigid:
-        return [("", path.approach)]
+        return [(Family.UNSTATED, path.approach)]
     found = []
     for hold in motion.grasps:
         states = {hold.first, hold.last}
         if hold.turn_axis is not None:
             states.add((hold.first + hold.last) // 2)
-        found += [(hold.family, int(path.planned[state])) for state in sorted(states)]
+        found += [(hold.kind, int(path.planned[state])) for state in sorted(states)]
     return found
 
 

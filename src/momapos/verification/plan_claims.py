@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import Cache
-from momapos.model.records import JointResistance, Overrides, PlacementPlan, Task
+from momapos.model.records import FAMILIES, JointResistance, Overrides, PlacementPlan, Task
 from momapos.model.robots import (
-    Grip,
     Robot,
     drive_by_wheels,
     library_file,
@@ -43,12 +42,6 @@ MAX_RADIUS_SHARE = 1e-3
 MAX_URDF_DIFFERENCE = 1e-6
 """Largest difference of two readings of one URDF [rad], [m] or in their units: the plan's copy
 prints its numbers again."""
-FAMILIES = {
-    Grip.FINGERS: ("pinch", "hook", "push"),
-    Grip.HOOK: ("hook", "push"),
-    Grip.SUCTION: ("suction", "push"),
-}
-"""Grasp modes that each kind of tool can carry out."""
 _MOBILITY = ("car", "differential", "omni")
 """Drives, each able to do what those before it can."""
 
@@ -122,7 +115,7 @@ def stated_checks(plan: PlacementPlan, robot: Robot) -> Iterator[Check]:
         detail = f"{radius:g} m, {robot.path.name} has {robot.min_turning_radius:g} m"
         name = "turning radius is that of the robot file (difference)"
         yield at_most(name, 100 * off, 100 * MAX_RADIUS_SHARE, "%", detail)
-    able = FAMILIES[robot.grips]
+    able = [family for family in FAMILIES if robot.grips in family.tools]
     holds = () if plan.motion is None else plan.motion.holds
     wrong = [hold.family for hold in holds if hold.family not in ("", *able)]
     detail = f"{wrong[0]!r:.60}; {robot.grips} can {', '.join(able)}" if wrong else ""

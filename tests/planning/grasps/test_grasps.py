@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests.rooms import cabinet_room
 
+from momapos.model.records.families import Family
 from momapos.model.robots.robot import Grip, Robot, load_robot
 from momapos.model.scene.joint_resistance import resistance_along
 from momapos.model.scene.resistance_config import ResistanceConfig
@@ -18,7 +19,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import opening_of
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
-from momapos.planning.grasps.grasp_families import Family, Grasps
+from momapos.planning.grasps.grasp_families import Grasps
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
 from momapos.planning.grasps.handles import (

@@ -11,6 +11,7 @@ import pytest
 import tests.meshes as given
 from tests.rooms import cabinet_room
 
+from momapos.model.records.families import FAMILIES, Family
 from momapos.model.robots.hand_openings import opened_to
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
@@ -27,7 +28,7 @@ from momapos.planning.grasps.handles import (
     find_handles,
     handles_in_turn,
 )
-from momapos.planning.grasps.part_grasps import FAMILIES, Family, elements_near_handle, grasps_of
+from momapos.planning.grasps.part_grasps import elements_near_handle, grasps_of
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
 

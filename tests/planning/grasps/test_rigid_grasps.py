@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import invert, pose
+from momapos.model.records.families import Family
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
@@ -22,7 +23,6 @@ from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.part_grasps import (
     HELD_CLEARANCE_SHARE,
     Contact,
-    Family,
     lifting_capacity,
 )
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion

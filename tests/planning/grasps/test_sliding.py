@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from momapos.model.records.families import FAMILIES, Family
 from momapos.model.records.plans import JointResistance, Motion
 from momapos.model.robots.robot import Grip, Robot, load_robot
 from momapos.model.scene.scene import Scene
@@ -16,7 +17,6 @@ from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.urdf_records import Geometry
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
-from momapos.planning.grasps.part_grasps import FAMILIES, Family
 from momapos.planning.grasps.sliding_hooks import SLIDE_STATES, SlidingMotion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose

@@ -1,3 +1,5 @@
+from .families import FAMILIES as FAMILIES
+from .families import Family as Family
 from .outcomes import NO_PATH as NO_PATH
 from .outcomes import NO_STAND as NO_STAND
 from .outcomes import RULED_OUT as RULED_OUT

@@ -22,6 +22,7 @@ from momapos.core import (
     shown,
 )
 
+from .families import Family
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
 from .scans import Hypothesis, PartKind
 
@@ -276,6 +277,11 @@ class Hold:
     """Grasp mode: pinch, hook, push or suction; "" if unknown."""
     words: str = ""
     """Description of the grasp for users; "" if there is none."""
+
+    @property
+    def kind(self) -> Family:
+        """Return the family, with what it implies."""
+        return Family.of(self.family)
 
 
 @compare_by_content

@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.core import owner_cache
 from momapos.core.geometry import rotation_about, rotation_of
+from momapos.model.records import FAMILIES, Family
 from momapos.model.robots import Grip, Robot
 from momapos.model.scene import MotionResistance
 from momapos.model.urdf import Articulated, opens_both_ways
@@ -20,8 +21,6 @@ from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import NEVER, CarriedPart, Element, in_pieces, part_elements, touches_hull
 from .handles import PUSH_INSET, Handle, front_face, front_part, handles_in_turn
 from .part_grasps import (
-    FAMILIES,
-    Family,
     PartGrasps,
     approach_lines,
     grasp_frames,

@@ -15,13 +15,12 @@ import numpy as np
 
 from momapos.core import GRAVITY
 from momapos.core.geometry import rotation_about
-from momapos.model.records import Hold, JointResistance, Task
+from momapos.model.records import FAMILIES, Hold, JointResistance, Task
 from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes, MovingBoxes
 
 from .grasp_families import Grasps, GraspSelection
 from .handles import Handle, HandleKind
-from .part_grasps import FAMILIES, Family
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -39,7 +38,7 @@ MIN_GROUP = 3
 """Minimum number of grasps in a group [-]."""
 _DIGITS = 4
 _BARS = (HandleKind.BAR, HandleKind.LEVER)
-_CLOSED = [FAMILIES.index(Family.PINCH), FAMILIES.index(Family.HOOK)]
+_TURN = [FAMILIES.index(family) for family in FAMILIES if family.turns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +106,7 @@ def turning_about(robot: Robot, chosen: GraspSelection) -> Turning:
     away = Ts[:, :3, 3] - handle.grip
     along = away @ axis
     offset = np.linalg.norm(away - along[:, None] * axis, axis=1)
-    held = (chosen.grasps.handle == 0) & np.isin(chosen.grasps.code, _CLOSED)
+    held = (chosen.grasps.handle == 0) & np.isin(chosen.grasps.code, _TURN)
     on_axis = np.flatnonzero(held & (offset < MAX_AXIS_OFFSET))
     unturned = rotation_about(axis, -angles[on_axis]) @ Ts[on_axis, :3, :3]
     keys = np.round(np.column_stack([unturned.reshape(-1, 9), along[on_axis]]), _DIGITS) + 0.0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import owner_cache
 from momapos.core.geometry import rotation_about, rotation_of
+from momapos.model.records import FAMILIES, Family
 from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
 
@@ -314,22 +314,6 @@ STEEP_TURNS = {75.0: {60.0, 90.0}, -75.0: {-60.0, -90.0}}
 Behind a bar near a panel a finger has most room if it leans: at 72 to 80 degrees for 43 mm."""
 HOOK_SHARE = 0.8
 """Share of the pull along the closing axis above which a grasp is a hook [-]."""
-
-
-class Family(StrEnum):
-    """The grasp families; plans contain the words."""
-
-    PINCH = "pinch"
-    """Pads on both sides; friction transmits the pull."""
-    HOOK = "hook"
-    """A finger behind a bar, a lip or an edge transmits the pull."""
-    PUSH = "push"
-    """Fingertips against a front, for closing only."""
-    SUCTION = "suction"
-    """A suction cup on a front."""
-
-
-FAMILIES: tuple[Family, ...] = tuple(Family)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 
 from momapos.core import GRAVITY, owner_cache
 from momapos.core.geometry import invert
+from momapos.model.records import FAMILIES, Family
 from momapos.model.robots import Grip, Robot
 from momapos.model.scene import SceneObject, object_mass
 from momapos.model.urdf import Articulated
@@ -18,10 +19,8 @@ from .grasp_families import Grasps, GraspSelection, firmest_first
 from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import Element, convex_of, corners
 from .part_grasps import (
-    FAMILIES,
     HELD_CLEARANCE_SHARE,
     MIN_OVERLAP,
-    Family,
     advance,
     close_hands,
     contact_of,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from momapos.core.geometry import invert, rotation_about
-from momapos.model.records import Hold
+from momapos.model.records import FAMILIES, Family, Hold
 from momapos.model.robots import Grip, Robot
 from momapos.model.scene import SceneObject, stays_in_place
 
@@ -25,7 +25,7 @@ from .hand_boxes import HandBoxes, hand_of
 from .handle_shapes import Element
 from .handles import Handle
 from .motion_record import TaskMotion, Turning
-from .part_grasps import FAMILIES, Family, elements_near_handle, stands_clear
+from .part_grasps import elements_near_handle, stands_clear
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

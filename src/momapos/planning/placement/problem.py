@@ -186,10 +186,10 @@ class PoseOutcomes:
     def __setitem__(
         self, rows: int | np.ndarray, outcome: PoseOutcome | Sequence[PoseOutcome]
     ) -> None:
-        one = isinstance(outcome, PoseOutcome)
-        self.kind[rows] = (
-            self._kind_of(outcome) if one else [self._kind_of(each) for each in outcome]
-        )
+        if isinstance(outcome, PoseOutcome):
+            self.kind[rows] = self._kind_of(outcome)
+        else:
+            self.kind[rows] = [self._kind_of(each) for each in outcome]
 
     def _kind_of(self, outcome: PoseOutcome) -> int:
         """Return the index of a kind, which may be new."""
