@@ -29,6 +29,7 @@ from momapos.core.geometry import (
 )
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import Hull
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -255,24 +256,50 @@ def _shapes(robot: Robot, held: HeldObject | None) -> list[Float[np.ndarray, "_ 
 def obstacles_of(scene: Scene, prisms: RobotPrisms) -> ConvexPolygons:
     """Project everything between the floor and the robot's top, for each prism it obstructs."""
     hulls = [
-        (f"{item.name}/{link}", apply(T, hull.vertices))
+        (f"{item.name}/{link}", _from_above(hull, tuple(T.ravel().tolist())))
         for item in scene.objects
         for link, T in item.link_poses().items()
         for hull in item.model.hulls[link]
     ]
     if not hulls:
         return pack([], [], [])
-    low = np.array([points[:, 2].min() for _, points in hulls])[:, None]
-    high = np.array([points[:, 2].max() for _, points in hulls])[:, None]
+    low = np.array([above.low for _, above in hulls])[:, None]
+    high = np.array([above.high for _, above in hulls])[:, None]
     met = (low < prisms.heights[1:]) & (high > np.maximum(prisms.heights[:-1], MAX_STEP_HEIGHT))
     # A prism within a wider one that is obstructed too needs no check of its own.
     index = np.arange(len(prisms.outlines))
     wider = prisms.inside & ~(prisms.inside.T & (index[:, None] <= index))
     which, layers = np.nonzero(met & ~(met[:, None] & wider).any(axis=2))
-    outlines = {i: convex_hull(hulls[i][1][:, :2]) for i in dict.fromkeys(which.tolist())}
-    return pack(
-        [outlines[i] for i in which.tolist()], layers.tolist(), [hulls[i][0] for i in which]
-    )
+    return pack([hulls[i][1].outline for i in which], layers.tolist(), [hulls[i][0] for i in which])
+
+
+@dataclass(frozen=True, eq=False)
+class _Above:
+    """A convex body in the world."""
+
+    points: Float[np.ndarray, "n 3"]
+    """[m]"""
+
+    @cached_property
+    def low(self) -> float:
+        """Return its least height [m]."""
+        return float(self.points[:, 2].min())
+
+    @cached_property
+    def high(self) -> float:
+        """Return its largest height [m]."""
+        return float(self.points[:, 2].max())
+
+    @cached_property
+    def outline(self) -> Float[np.ndarray, "k 2"]:
+        """Return its outline from above [m]."""
+        return convex_hull(self.points[:, :2])
+
+
+@owner_cache(8)
+def _from_above(hull: Hull, T_world_link: tuple[float, ...]) -> _Above:
+    """Place a convex body; a task moves few of a scene's."""
+    return _Above(apply(np.reshape(T_world_link, (4, 4)), hull.vertices))
 
 
 def planning_outlines(

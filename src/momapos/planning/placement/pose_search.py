@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -162,6 +162,8 @@ _MIN_GAIN = 0.06
 """Minimum driving length that a step saves [m]."""
 _MAX_LOOKUPS = 32
 """Maximum number of poses whose possible robustness is looked up, the cheapest first [-]."""
+_LOOKED_UP = 8
+"""Number of them that are looked up together: about half can be as robust [-]."""
 _MAX_CHECKS = 4
 """Maximum number of poses of a step that are checked for a path: the cheapest mostly are at the
 edge of the arm's reach [-]."""
@@ -230,11 +232,17 @@ def _checked_steps(
     if problem.home_is_free is not None:
         order = order[problem.home_is_free(left.poses[order])]
     order = order[:_MAX_LOOKUPS]
+    some = iter(order.tolist())
     if costs.robustness_first and waiting.looks:
         least = waiting.known_robustness(best.pose) or 0.0
-        order = order[can_be_robust(problem, score, config, left.poses[order], least)]
+        blocks = np.split(order, range(_LOOKED_UP, len(order), _LOOKED_UP))
+        some = (
+            int(i)
+            for block in blocks
+            for i in block[can_be_robust(problem, score, config, left.poses[block], least)]
+        )
     # Only poses that are checked count as samples.
-    for i in order[:_MAX_CHECKS]:
+    for i in islice(some, _MAX_CHECKS):
         clear = clear_poses(problem, left.poses[i : i + 1])
         found.note(clear.every, clear.poses.outcomes)
         one = clear.reached(problem, score, on_grid=False)
