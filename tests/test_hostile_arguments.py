@@ -39,7 +39,12 @@ OUTPUTS = {
     "ReachMap", "Robot", "ScanAnswer", "SceneReport", "TimedTrajectory", "Tolerance", "Tour",
 }  # fmt: skip
 """Records that momapos returns; the functions that take them are tested with them."""
-METHODS = {"with_inverse_kinematics", "SceneObject.from_mesh", "SceneObject.from_trimesh"}
+METHODS = {
+    "with_grasps",
+    "with_inverse_kinematics",
+    "SceneObject.from_mesh",
+    "SceneObject.from_trimesh",
+}
 """Further ways to make a record."""
 TRIANGLE = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
 
@@ -74,6 +79,7 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
         "save_scene": (m.save_scene, {"scene": room(), "path": folder / "scene.json"}),
         "load_robot": (m.load_robot, {"source": "segway_ur5e", "arm": None}),
         "with_inverse_kinematics": (of["robot"].with_inverse_kinematics, {"solve": len}),
+        "with_grasps": (of["robot"].with_grasps, {"source": len}),
         "make_task": (m.make_task, {"scene": of["scene"], "verb": "open",
                                     "object_name": "fridge", "joint": "door_hinge", "to": 1.0}),
         "openable": (m.openable, {"scene": of["scene"]}),

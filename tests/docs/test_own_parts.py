@@ -37,7 +37,7 @@ def run(name: str, **given: Any) -> dict[str, Any]:
 
 def test_examples_are_short() -> None:
     assert [title for title, _ in BLOCKS] == [
-        "Cost", "Filter", "Reachability", "Detector", "Inverse"
+        "Cost", "Filter", "Reachability", "Detector", "Grasps", "Inverse"
     ]  # fmt: skip
     for _, code in BLOCKS:
         assert len([line for line in code.splitlines() if line.strip()]) <= MAX_LINES
@@ -126,6 +126,12 @@ def test_inverse_kinematics_of_ones_own_finds_the_states() -> None:
     assert (plan.motion.q[:, elbow] >= 0.0).all()
     usual = momapos.plan_base_placement(names["scene"], plain, names["task"]).plan
     assert usual.status == "solved"
+
+
+def test_grasps_of_ones_own_are_all_used() -> None:
+    names = run("Grasps")
+    assert names["result"].plan.status == "solved"
+    assert not any("of your own" in note for note in names["result"].notes)
 
 
 @pytest.mark.parametrize(

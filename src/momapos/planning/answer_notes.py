@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +20,13 @@ from momapos.model.scene import (
     resistance_along,
     stays_in_place,
 )
-from momapos.planning.grasps import GraspConfig
+from momapos.planning.grasps import GraspConfig, own_poses
 from momapos.verification import PlanVerifier, meets_floor_at
 
 from .task_setup import PreparedTask
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 SPRINGS = "springs are assumed to bear the weight of"
 """Begin of the statement that an answer depends on this guess."""
@@ -44,8 +48,9 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
     notes = (
-        _hand_note(prepared), _floor_note(plan, prepared), _file_note(prepared),
-        _latch_note(prepared), _loose_note(prepared), _spring_note(plan, prepared), outside,
+        _hand_note(prepared), _own_note(prepared), _floor_note(plan, prepared),
+        _file_note(prepared), _latch_note(prepared), _loose_note(prepared),
+        _spring_note(plan, prepared), outside,
     )  # fmt: skip
     return tuple(note for note in notes if note)
 
@@ -60,6 +65,29 @@ def _hand_note(prepared: PreparedTask) -> str:
         f"the hand opens to {100 * robot.opening:.1f} cm {when}, not to "
         f"{100 * robot.fully_open.opening:.1f} cm: a fully open hand has no room"
     )
+
+
+def _own_note(prepared: PreparedTask) -> str:
+    """Return how many of the user's own grasps can be used, unless all can."""
+    robot, task, motion = prepared.robot, prepared.task, prepared.motion
+    own = own_poses(robot, task.object, task.joint)
+    if not len(own):
+        return ""
+    target = prepared.scene.object(task.object)
+    link = target.model.urdf.root if task.joint is None else target.joint(task.joint).child
+    R = target.link_poses()[link][:3, :3] @ own[:, :3, :3]
+    known = {one.tobytes() for one in _rounded(motion.Ts_world_tool[:, motion.grasp_step, :3, :3])}
+    used = sum(one.tobytes() in known for one in _rounded(R))
+    if used == len(own):
+        return ""
+    return (
+        f"{used} of {len(own)} grasps of your own can be used; at the others the hand is not free, "
+        f"or does not hold {target.name}"
+    )
+
+
+def _rounded(R: Float[np.ndarray, "g 3 3"]) -> Float[np.ndarray, "g 3 3"]:
+    return np.round(R, 5) + 0.0
 
 
 def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

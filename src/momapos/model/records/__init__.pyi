@@ -34,6 +34,7 @@ from .plans import Verb as Verb
 from .plans import status_of_all as status_of_all
 from .protocols import ArticulationPredictor as ArticulationPredictor
 from .protocols import Detector as Detector
+from .protocols import GraspSource as GraspSource
 from .protocols import InverseKinematics as InverseKinematics
 from .protocols import ReachScorer as ReachScorer
 from .protocols import Segmenter as Segmenter

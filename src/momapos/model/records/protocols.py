@@ -39,6 +39,22 @@ class InverseKinematics(Protocol):
         ...
 
 
+class GraspSource(Protocol):
+    """Proposes grasps of an object or of a part."""
+
+    def __call__(self, name: str, joint: str | None, /) -> Float[np.ndarray, "g 4 4"]:
+        """Return poses of the tool link at which an open hand is about to close.
+
+        They are in the frame of the link that the task moves: the child of the joint, or the root
+        link of a rigid object. Shape (0, 4, 4) if there are none.
+
+        Args:
+            name: The object.
+            joint: Its joint; None for a rigid object.
+        """
+        ...
+
+
 class Segmenter(Protocol):
     """Segments a cloud (z up) into objects; the remaining points are the room or noise."""
 

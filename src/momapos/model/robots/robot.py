@@ -26,7 +26,7 @@ from momapos.core import (
 from momapos.core.geometry import apply, convex_hull, invert
 from momapos.model.collision import LinkHulls, Spheres, arm_spheres
 from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, build_ik, fine_ik
-from momapos.model.records import InverseKinematics
+from momapos.model.records import GraspSource, InverseKinematics
 from momapos.model.urdf import Articulated, Boxes
 
 from .gripper_guess import FINGER, HAND
@@ -129,6 +129,8 @@ class Robot:
     """The robot with its hand fully open, if this hand is not; see `hand_openings`."""
     own_ik: InverseKinematics | None = field(default=None, repr=False)
     """Solves for the states at the waypoints in place of `ik`; see `with_inverse_kinematics`."""
+    own_grasps: GraspSource | None = field(default=None, repr=False)
+    """Proposes grasps beyond the planner's; see `with_grasps`."""
 
     @property
     def source(self) -> str:
@@ -204,6 +206,28 @@ class Robot:
         vars(robot)["own_ik"] = solve
         if self.fully_open is not None:
             vars(robot)["fully_open"] = self.fully_open.with_inverse_kinematics(solve)
+        return robot
+
+    def with_grasps(self, source: GraspSource) -> Robot:
+        """Return the same robot with grasps of your own, in addition to the planner's.
+
+        They are proposals: the fingers close at each, and a grasp whose pads do not meet a handle
+        or the object, or do not bear its load, is left out. Only hands whose fingers close use
+        them, and only handles that momapos finds are held, by a link that the joint moves itself.
+        To allow no others, pass `keep_grasps`.
+
+        Args:
+            source: Returns poses of the tool link (g, 4, 4) for an object and a joint.
+
+        Raises:
+            InputError: It cannot be called.
+        """
+        expect_callable("source", source)
+        robot = copy(self)
+        vars(robot).pop("finer", None)
+        vars(robot)["own_grasps"] = source
+        if self.fully_open is not None:
+            vars(robot)["fully_open"] = self.fully_open.with_grasps(source)
         return robot
 
     @cached_property

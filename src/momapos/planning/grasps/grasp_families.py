@@ -24,6 +24,7 @@ from .part_grasps import (
     PartGrasps,
     approach_lines,
     grasp_frames,
+    grasps_at,
     grasps_of,
     poses_of,
     push_grasps,
@@ -146,6 +147,10 @@ _MAX_RATIO = 2.5
 """Ratio of transmitted to needed force above which grasps count as equally firm [-]."""
 
 
+NO_POSES: np.ndarray = np.zeros((0, 4, 4))
+"""No grasps."""
+
+
 @dataclass(frozen=True, eq=False)
 class Grasps:
     """The grasps of a task, without their tool poses."""
@@ -222,6 +227,7 @@ def select_part_grasps(
     config: GraspConfig,
     excluded: Collection[Handle] = (),
     latch: str | None = None,
+    own: Float[np.ndarray, "g 4 4"] = NO_POSES,
 ) -> GraspSelection:
     """Select the grasps of the part's first handle by which the robot can move it.
 
@@ -236,6 +242,7 @@ def select_part_grasps(
         config: The grasps to try.
         excluded: Handles to skip; not all of the part's.
         latch: The link that the hand must hold; None for any.
+        own: Tool poses of the user's own grasps in the frame of the joint's child.
 
     Returns:
         The grasps; if none holds, approaches to the best handle, and the reason.
@@ -249,6 +256,7 @@ def select_part_grasps(
             continue
         handles.append(handle)
         grasps = grasps_of(robot, model, joint, sign, handle, config)
+        grasps = grasps.and_also(grasps_at(robot, model, joint, sign, handle, own, config))
         strong, reason = _strong(robot, model, joint, grasps, resistance, handle, config)
         if len(strong.code):
             found.append((handle, strong))

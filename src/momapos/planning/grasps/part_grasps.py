@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -332,6 +332,20 @@ class PartGrasps:
     reason: str
     """Why there are none; "" if there are."""
 
+    def and_also(self, others: PartGrasps) -> PartGrasps:
+        """Return these grasps and others, on lines of their own."""
+        if not len(others.code):
+            return self
+
+        def both(name: str) -> np.ndarray:
+            return np.concatenate([getattr(self, name), getattr(others, name)])
+
+        line = np.append(self.line, others.line + self.line.max(initial=-1) + 1)
+        return PartGrasps(
+            both("Ts_part_tool"), both("code"), both("width"), both("capacity"), both("point"),
+            both("complexity"), line, "",
+        )  # fmt: skip
+
     def only(self, rows: Bool[np.ndarray, " g"]) -> PartGrasps:
         """Return a subset of the grasps."""
         return PartGrasps(
@@ -469,7 +483,56 @@ def _closed(
         name = elements[obstacle].link if obstacle >= 0 else handle.name
         no_room = f"the hand does not fit at {what}: {name} is in the way"
         return _none(_too_thick(robot, handle, what) or no_room)
-    p, travel, met = close_hands(hand, elements, held, R, p, config)
+    start = _Start(R, p, complexity, line)
+    near = elements, held
+    return _closed_from(robot, hand, model, joint, sign, handle, start, near, config, what)
+
+
+class _Start(NamedTuple):
+    """Hands that are about to close."""
+
+    R: Float[np.ndarray, "g 3 3"]
+    p: Float[np.ndarray, "g 3"]
+    complexity: Float[np.ndarray, " g"]
+    line: Int[np.ndarray, " g"]
+
+
+def grasps_at(
+    robot: Robot,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    handle: Handle,
+    Ts_part_tool: Float[np.ndarray, "g 4 4"],
+    config: GraspConfig,
+) -> PartGrasps:
+    """Close the fingers on a handle at given tool poses; see `grasps_of` for the arguments."""
+    hand, count = hand_of(robot), len(Ts_part_tool)
+    carried = handle.carrier == model.joint(joint).child
+    if not count or not carried or robot.grips is not Grip.FINGERS or not hand.closes:
+        return _none("")
+    R = np.ascontiguousarray(Ts_part_tool[:, :3, :3])
+    p = np.ascontiguousarray(Ts_part_tool[:, :3, 3])
+    start = _Start(R, p, np.zeros(count), np.arange(count))
+    near, name = elements_near_handle(model, joint, handle), handle.name
+    return _closed_from(robot, hand, model, joint, sign, handle, start, near, config, name)
+
+
+def _closed_from(
+    robot: Robot,
+    hand: HandBoxes,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    handle: Handle,
+    start: _Start,
+    near: tuple[tuple[Element, ...], Bool[np.ndarray, " e"]],
+    config: GraspConfig,
+    what: str,
+) -> PartGrasps:
+    """Close the fingers; keep the grasps that hold."""
+    (elements, held), (R, _, complexity, line) = near, start
+    p, travel, met = close_hands(hand, elements, held, R, start.p, config)
     rows = np.flatnonzero(met)
     if not len(rows):
         return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")

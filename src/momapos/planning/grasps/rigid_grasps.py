@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from momapos.model.scene import SceneObject, object_mass
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
-from .grasp_families import Grasps, GraspSelection, firmest_first
+from .grasp_families import NO_POSES, Grasps, GraspSelection, firmest_first
 from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import Element, convex_of, corners
 from .part_grasps import (
@@ -69,6 +69,7 @@ def select_object_grasps(
     config: GraspConfig,
     *,
     carried: bool,
+    own: Float[np.ndarray, "g 4 4"] = NO_POSES,
 ) -> GraspSelection:
     """Select the grasps by which a hand lifts a rigid object, in a frame of it with z up.
 
@@ -78,6 +79,7 @@ def select_object_grasps(
         T_world_upright: That frame.
         config: The grasps to try.
         carried: Whether the hand carries the object in any orientation; else it only lifts it.
+        own: Tool poses of the user's own grasps in the object's frame.
 
     Returns:
         The grasps; if none holds, the approach lines and the reason.
@@ -85,9 +87,70 @@ def select_object_grasps(
     T = invert(T_world_upright) @ item.T_world_object
     mass, center = object_mass(item, config.resistance)
     weight = (mass, *center.tolist())
-    return _holding(
-        robot, item.model, weight, tuple(np.round(T, _DIGITS).ravel().tolist()), config, carried
-    )
+    pose = tuple(np.round(T, _DIGITS).ravel().tolist())
+    found = _holding(robot, item.model, weight, pose, config, carried)
+    if not len(own) or robot.grips is not Grip.FINGERS or not hand_of(robot).closes:
+        return found
+    also = _held_at(robot, _Body.of(item.model, weight, pose), T @ own, config, carried=carried)
+    if found.reason or also.reason:
+        return also if found.reason and not also.reason else found
+    return _both(found, also)
+
+
+def _both(found: GraspSelection, also: GraspSelection) -> GraspSelection:
+    """Return two selections as one, ordered again; see `firmest_first`."""
+    one, other = found.grasps, also.grasps
+    line = np.append(one.line, other.line + one.line.max() + 1)
+    code, width = np.append(one.code, other.code), np.append(one.width, other.width)
+    capacity, need = np.append(one.capacity, other.capacity), np.append(one.need, other.need)
+    handle = np.zeros(len(line), np.int64)
+    # The user's own are as simple as the simplest.
+    complexity = np.append(np.arange(len(one)), np.zeros(len(other)))
+    order = firmest_first(capacity, need, complexity, handle)
+    grasps = Grasps(code, width, capacity, need, (), handle, line).take(order)
+    Ts = np.concatenate([found.Ts_part_tool, also.Ts_part_tool])[order]
+    return GraspSelection(np.ascontiguousarray(Ts), grasps, "", "")
+
+
+class _Body(NamedTuple):
+    """A rigid object in its upright frame."""
+
+    elements: tuple[Element, ...]
+    center: Float[np.ndarray, "3"]
+    """Center of mass [m]."""
+    mass: float
+    """[kg]"""
+
+    @classmethod
+    def of(cls, model: Articulated, weight: tuple[float, ...], T: tuple[float, ...]) -> _Body:
+        """Return an object, see `_holding`."""
+        poses, T_upright_root = model.rest_poses, np.reshape(T, (4, 4))
+        elements = tuple(
+            Element(link, hull.name or link, convex_of(hull, T_upright_root @ poses[link]), index)
+            for link in model.links
+            for index, hull in enumerate(model.hulls[link])
+        )
+        center = T_upright_root[:3, :3] @ weight[1:] + T_upright_root[:3, 3]
+        return cls(elements, center, weight[0])
+
+
+def _held_at(
+    robot: Robot,
+    body: _Body,
+    Ts_object_tool: Float[np.ndarray, "g 4 4"],
+    config: GraspConfig,
+    *,
+    carried: bool,
+) -> GraspSelection:
+    """Close the fingers at given tool poses in the upright frame; keep the grasps that hold."""
+    R, p = (np.ascontiguousarray(x) for x in (Ts_object_tool[:, :3, :3], Ts_object_tool[:, :3, 3]))
+    none = np.zeros(len(R))
+    lines = _Lines(R, p, none, none, none)
+    need = (1.0 + config.swing) * GRAVITY * body.mass
+    return _pinched(
+        robot, hand_of(robot), body.elements, lines, (R, p, np.arange(len(R))), body.center, need,
+        config, carried=carried,
+    )  # fmt: skip
 
 
 @owner_cache()
@@ -103,15 +166,7 @@ def _holding(
 
     The weight is mass [kg] and center of mass in the root's frame [m].
     """
-    poses = model.rest_poses
-    T_upright_root = np.reshape(T, (4, 4))
-    elements = tuple(
-        Element(link, hull.name or link, convex_of(hull, T_upright_root @ poses[link]), index)
-        for link in model.links
-        for index, hull in enumerate(model.hulls[link])
-    )
-    mass = weight[0]
-    center = T_upright_root[:3, :3] @ weight[1:] + T_upright_root[:3, 3]
+    elements, center, mass = _Body.of(model, weight, T)
     lines = _lines(robot, elements, center)
     need = (1.0 + config.swing) * GRAVITY * mass
     hand = hand_of(robot)
@@ -123,7 +178,8 @@ def _holding(
     if _too_wide(robot, lines, config):
         # The fingers may pass the object as closely as at a grasp, see `stands_clear`.
         config = replace(config, hand_clearance=config.hand_clearance * HELD_CLEARANCE_SHARE)
-    return _pinched(robot, hand, elements, lines, center, need, config, carried=carried)
+    start = _depths(hand, elements, lines, config)
+    return _pinched(robot, hand, elements, lines, start, center, need, config, carried=carried)
 
 
 def _lines(
@@ -166,6 +222,7 @@ def _pinched(
     hand: HandBoxes,
     elements: tuple[Element, ...],
     lines: _Lines,
+    start: _Start,
     center: Float[np.ndarray, "3"],
     need: float,
     config: GraspConfig,
@@ -175,7 +232,7 @@ def _pinched(
     """Select pinch grasps in which only the pads touch, and which carry the weight."""
     held = np.ones(len(elements), bool)
     wide = _too_wide(robot, lines, config)
-    R, p, row = _depths(hand, elements, lines, config)
+    R, p, row = start
     p, travel, met = close_hands(hand, elements, held, R, p, config)
     if not met.any():
         return _none(lines, need, wide or f"the fingers of {robot.name} cannot close on it")
@@ -203,6 +260,12 @@ def _pinched(
     code = np.full(len(R), FAMILIES.index(Family.PINCH))
     complexity = lines.complexity[row] + 10 * np.linalg.norm(contact.point - center, axis=1)
     return _ordered(poses_of(R, p), code, width, capacity, row, complexity, need, strong)
+
+
+_Start: TypeAlias = (
+    "tuple[Float[np.ndarray, 'g 3 3'], Float[np.ndarray, 'g 3'], Int[np.ndarray, ' g']]"
+)
+"""Rotations and origins of hands that are about to close, and the approach line of each."""
 
 
 def _too_wide(robot: Robot, lines: _Lines, config: GraspConfig) -> str:

@@ -29,6 +29,7 @@ from .hand_boxes import hand_of
 from .handle_shapes import CarriedPart
 from .handles import Handle, HandleKind, find_handle, handles_in_turn
 from .motion_record import TaskMotion, Weight, no_turning, turning_about
+from .own_grasps import own_poses
 from .part_grasps import pinch_capacity
 from .part_motion import lever_arms, levers_along, motion_directions
 from .rigid_grasps import select_object_grasps
@@ -350,6 +351,7 @@ def _joint_motion(
         chosen = select_part_grasps(
             robot, model, joint.name, sign, resistance,
             closes=task.verb == "close", config=config.grasps, excluded=excluded,
+            own=own_poses(robot, target.name, joint.name),
         )  # fmt: skip
     bodies = bodies_moved_by(target, joint.name, path.part, path.latch)
     moving, moving_labels, grasped = moving_boxes(
@@ -433,8 +435,9 @@ def _rigid_motion(
         )
     T_object = _upright_frame(target)
     chosen = select_object_grasps(
-        robot, target, T_object, config.grasps, carried=task.verb == "place"
-    )
+        robot, target, T_object, config.grasps, carried=task.verb == "place",
+        own=own_poses(robot, target.name, None),
+    )  # fmt: skip
     Ts_object_tool = chosen.Ts_part_tool
     lifts = np.linspace(0.0, LIFT_HEIGHT, SUBSTEPS + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))

@@ -1,0 +1,143 @@
+"""Grasps of the user's own: used like the planner's where they hold, and refused where wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from momapos.core.errors import InputError
+from momapos.core.geometry import invert
+from momapos.model.records.plans import Task
+from momapos.model.robots.robot import Grip, Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
+from momapos.planning.answer_notes import notes_on
+from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import MotionConfig
+from momapos.planning.grasps.motion_record import TaskMotion
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.keyword_forms import plan_base_placement
+from momapos.planning.placement.config import PlaceConfig
+
+QUICK = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
+NONE = np.zeros((0, 4, 4))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_robot("segway_ur5e")
+
+
+@pytest.fixture(scope="module", params=["part", "object"])
+def task(request: pytest.FixtureRequest, scene: Scene) -> Task:
+    if request.param == "part":
+        return make_task(scene, "open", "fridge", "door_hinge")
+    return make_task(scene, "pick", "cup")
+
+
+def in_link(scene: Scene, motion: TaskMotion) -> np.ndarray:
+    """Return the grasps of a motion in the frame in which a source returns its own."""
+    target, joint = scene.object(motion.task.object), motion.task.joint
+    link = target.model.urdf.root if joint is None else target.joint(joint).child
+    return invert(target.link_poses()[link]) @ motion.Ts_world_tool[:, motion.grasp_step]
+
+
+def rolled(Ts: np.ndarray, robot: Robot, angle: float) -> np.ndarray:
+    """Return hands that are turned about their approach."""
+    x, y, z = robot.approach_axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = Ts.copy()
+    out[:, :3, :3] = Ts[:, :3, :3] @ (np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K)
+    return out
+
+
+def rotations(Ts: np.ndarray) -> set[bytes]:
+    return {(np.round(T[:3, :3], 5) + 0.0).tobytes() for T in Ts}
+
+
+def test_own_grasps_are_added_and_found_by_their_turn(
+    scene: Scene, robot: Robot, task: Task
+) -> None:
+    usual = task_motion(scene, robot, task, MotionConfig())
+    own = rolled(in_link(scene, usual), robot, np.radians(4.0))
+    motion = task_motion(scene, robot.with_grasps(lambda *_: own), task, MotionConfig())
+    found = rotations(in_link(scene, motion))
+    assert found >= rotations(in_link(scene, usual))
+    assert len(found & rotations(own)) > 5
+    need, capacity = motion.grasps.need, motion.grasps.capacity
+    assert (capacity >= need).all()
+
+
+def test_an_answer_may_hold_by_own_grasps_only(scene: Scene, robot: Robot, task: Task) -> None:
+    usual = task_motion(scene, robot, task, MotionConfig())
+    own = rolled(in_link(scene, usual), robot, np.radians(4.0))
+    asked: list[tuple[str, str | None]] = []
+
+    def source(name: str, joint: str | None) -> np.ndarray:
+        asked.append((name, joint))
+        return own
+
+    def is_own(motion: TaskMotion) -> np.ndarray:
+        mine = rotations(own)
+        return np.array([bool(rotations(T[None]) & mine) for T in in_link(scene, motion)], bool)
+
+    answer = plan_base_placement(
+        scene, robot.with_grasps(source), task, keep_grasps=is_own, config=QUICK
+    )
+    assert answer.plan.status == "solved"
+    assert {(task.object, task.joint)} == set(asked)
+
+
+def test_what_cannot_be_used_changes_nothing_and_is_stated(
+    scene: Scene, robot: Robot, task: Task
+) -> None:
+    far = np.tile(np.eye(4), (3, 1, 1))
+    far[:, 0, 3] = 5.0
+    with_far = robot.with_grasps(lambda *_: far)
+    usual, motion = (task_motion(scene, one, task, MotionConfig()) for one in (robot, with_far))
+    np.testing.assert_array_equal(usual.Ts_world_tool, motion.Ts_world_tool)
+    answer = plan_base_placement(scene, with_far, task, config=QUICK)
+    notes = notes_on(answer.plan, answer.prepared)
+    assert any(note.startswith("0 of 3 grasps of your own can be used") for note in notes)
+    without = plan_base_placement(scene, with_far.with_grasps(lambda *_: NONE), task, config=QUICK)
+    assert not any("of your own" in note for note in notes_on(without.plan, without.prepared))
+    assert without.plan.base_pose == answer.plan.base_pose
+
+
+def test_a_hand_that_does_not_close_uses_no_own_grasps(scene: Scene) -> None:
+    plain = load_robot("segway_ur5e")
+    hook = replace(plain, grips=Grip.HOOK)
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    usual = task_motion(scene, hook, task, MotionConfig())
+    own = in_link(scene, task_motion(scene, plain, task, MotionConfig()))
+    motion = task_motion(scene, hook.with_grasps(lambda *_: own), task, MotionConfig())
+    np.testing.assert_array_equal(usual.Ts_world_tool, motion.Ts_world_tool)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (np.eye(4), r"must be poses of shape \(g, 4, 4\), not an array of float64"),
+        (np.zeros((2, 3, 4)), r"of shape \(2, 3, 4\)"),
+        ([["a"]], r"must be poses of shape"),
+        (np.full((2, 4, 4), np.nan), "must be finite; pose 0 is not"),
+        (np.stack([np.eye(4), 2 * np.eye(4)]), "pose 1 is no pose of a hand"),
+        (np.diag([1.0, 1.0, -1.0, 1.0])[None], "pose 0 is no pose of a hand"),
+        (np.zeros((100_001, 4, 4)), "at most 100,000, not 100,001"),
+    ],
+)
+def test_a_source_that_returns_no_poses_is_named(
+    scene: Scene, robot: Robot, wrong: Any, words: str
+) -> None:
+    task = make_task(scene, "open", "fridge", "door_hinge")
+    with pytest.raises(InputError, match=f"the grasps of your own for fridge/door_hinge.*{words}"):
+        plan_base_placement(scene, robot.with_grasps(lambda *_: wrong), task)
