@@ -25,7 +25,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.placement.problem import Search
+from momapos.planning.placement.problem import PoseOutcomes, Search
 from momapos.planning.result import PlacementResult
 from momapos.planning.task_setup import prepare
 
@@ -87,7 +87,7 @@ def answer_of(
     return PlacementResult(
         plan=plan,
         prepared=prepare(scene, robot, task, PipelineConfig(), clearance=0.01),
-        search=Search(poses=[poses], outcomes=[np.array(OUTCOMES * 10, object)], base=BASE),
+        search=Search(poses=[poses], outcomes=[PoseOutcomes(OUTCOMES * 10)], base=BASE),
         start=np.array([1.9, -1.6, 1.57]),
     )
 
@@ -171,12 +171,12 @@ def test_all_characters_of_a_figure_are_drawn(
     "search",
     [
         Search(),
-        Search(poses=[np.zeros((0, 3))], outcomes=[np.zeros(0, object)]),
+        Search(poses=[np.zeros((0, 3))], outcomes=[PoseOutcomes([])]),
         Search(
             poses=[np.zeros((1, 3))],
-            outcomes=[np.array([NOWHERE], object)],
+            outcomes=[PoseOutcomes([NOWHERE])],
         ),
-        Search(poses=[np.ones((2, 3))], outcomes=[np.array([OUTCOMES[0]] * 2, object)]),
+        Search(poses=[np.ones((2, 3))], outcomes=[PoseOutcomes([OUTCOMES[0]] * 2)]),
     ],
     ids=["nothing", "no candidates", "out of reach at any distance", "all blocked"],
 )
