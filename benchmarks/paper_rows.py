@@ -239,7 +239,7 @@ def simulation_phrases(answers: Sequence[Answer]) -> list[str]:
     lost = Counter(tasks[task] for task in second - first)
     neither = Counter(group for task, group in tasks.items() if task not in first | second)
     drives = {m: {a.task: a.driving for a in answers if a.method == m} for m in solved}
-    more = np.divide(*(sum(drives[m][task] for task in first & second) for m in ("paper", "ours")))
+    far, short = (sum(drives[m][task] for task in first & second) for m in ("paper", "ours"))
     shares = [
         100
         * sum(task.split()[0] == robot for task in first)
@@ -252,7 +252,7 @@ def simulation_phrases(answers: Sequence[Answer]) -> list[str]:
         f"{lost['in fridge']} objects in fridges and {lost['in drawer']} in drawers",
         f"Neither solves {neither.total()}, of which {neither['in dishwasher']} are objects in "
         f"dishwashers and {neither['in fridge']} in fridges",
-        f"drives {100 * (more - 1):.0f} % farther",
+        f"drives {100 * (far / short - 1):.0f} % farther",
         f"{shares[0]:.0f}, {shares[1]:.0f} and {shares[2]:.0f} % of 500 tasks each, "
         f"{100 * len(first) / len(first | second):.0f} % of those that `paper` or `ours` solves",
     ]

@@ -124,14 +124,14 @@ def _ground_truth(scene, robot, task, reach) -> dict[str, Any]:  # type: ignore[
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
     answer = plan_base_placement(scene, robot, task, reach, config=replace(config))
-    outcomes = np.concatenate(answer.search.outcomes)
+    counts = answer.search.counts()
     passed = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND)
     return {
         "grid": answer.plan.status,
         "grid_seconds": time.perf_counter() - began,
         "grid_cost": answer.plan.navigation_cost,
-        "grid_feasible": sum(outcome.status in passed for outcome in outcomes),
-        "grid_poses": len(outcomes),
+        "grid_feasible": sum(n for outcome, n in counts.items() if outcome.status in passed),
+        "grid_poses": counts.total(),
     }
 
 

@@ -125,7 +125,7 @@ def by_grid(
     task = make_task(room, "open", item, joint)
     answer = plan_base_placement(room, robot, task, reach, config=config)
     passed = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND)
-    found = any(one.status in passed for batch in answer.search.outcomes for one in batch)
+    found = any(one.status in passed for one in answer.search.counts())
     return "solved" if found else str(answer.plan.status)
 
 
