@@ -30,10 +30,10 @@ from momapos.model.scene.scene import Scene, SceneObject
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning import any_grasp
 from momapos.planning import plan as plans
+from momapos.planning.any_grasp import narrower_hands, with_narrower_hand
 from momapos.planning.base_pose_check import plan_at_pose
 from momapos.planning.base_use import plan_moving
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.narrower_hands import narrower_hands, with_narrower_hand
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
 from momapos.planning.task_setup import prepare

@@ -22,11 +22,10 @@ from momapos.planning.placement import (
     base_pose_status,
 )
 
+from .any_grasp import narrower_hands, with_other_handles_only
 from .carrying import Carrying
 from .max_opening import from_the_top
 from .max_opening_plan import values_short_of
-from .narrower_hands import narrower_hands
-from .other_handles import with_other_handles_only
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of
