@@ -304,7 +304,9 @@ def _search(
     corners: Float[np.ndarray, "2 2"],
     found: Search,
 ) -> None:
-    """Check rounds of samples, then the grid; only the grid where it reaches nothing either."""
+    """Check rounds of samples, then the grid; a round that reaches nothing is the last one if the
+    grid reaches nothing either.
+    """
     frame = task_frame(problem.geometry)
     grid = _Grid(problem, config, frame, corners) if _has_grid(config) else None
     for local in _samples(corners, config, rng):
@@ -326,7 +328,7 @@ def _search(
         return
     look()
     found.note(grid.clear.every, grid.clear.poses.outcomes)
-    for score, left in zip(problem.mode_scorers, grid.reached(), strict=False):
+    for score, left in zip(problem.mode_scorers, grid.reached(), strict=True):
         for shortlist in _home_first(problem, left, config):
             waiting = Waiting.of(problem, score, PoseCosts.of(problem, config))
             _check_grid(problem, shortlist, found, waiting)
