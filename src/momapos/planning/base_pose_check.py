@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 _SAME_FOR_ALL_HANDLES = (PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR)
-"""PoseOutcomes of a base pose that no other handle changes."""
+"""Outcomes of a base pose that no other handle changes."""
 _SAME_GRASP = 1e-3
 """Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 MAX_VALUES_IN_TURN = 100

@@ -118,8 +118,8 @@ class SearchOptions:
     """Objects of lower importance stay boxes, in [0, 1] (default: 0.45 from a scan and in scenes of
     more than 50 objects, else 0)."""
     polish: OptionalCount = None
-    """Maximum number of steps to cheaper and more robust base poses nearby; 0: the first one that
-    works, at once (default: 16)."""
+    """Maximum number of steps to cheaper base poses nearby, which are as robust; 0: the first one
+    that works, at once (ours; default: 16)."""
     seed: int = 0
     """The same seed gives the same plan."""
     allow_assumed: Flag = False

@@ -123,7 +123,7 @@ class Waiting:
                 best = max(best, self.robustness_at(poses[i], self.paths[i], more))
             if not (best == 1.0 or last or self.looked >= self.looks):
                 return {}
-            by_cost.sort(key=lambda i: -self.measured.get(poses[i].tobytes(), (0.0, True))[0])
+            by_cost.sort(key=lambda i: -self.robustness_bound(poses[i]))
         elif not last:
             return {}
         paths, self.paths, self.bound = self.paths, {}, math.inf
@@ -134,8 +134,12 @@ class Waiting:
         if not self.costs.robustness_first:
             cost, before = (self.full_cost(one.pose, one.path, one.known) for one in (step, to))
             return cost < before
-        least, _ = self.measured.get(to.pose.tobytes(), (0.0, True))
+        least = self.robustness_bound(to.pose)
         return not self.looks or self.robustness_at(step.pose, step.path, least) >= least
+
+    def robustness_bound(self, pose: Float[np.ndarray, "3"]) -> float:
+        """Return an upper bound of a base pose's robustness; 0 if it was not measured."""
+        return self.measured.get(pose.tobytes(), (0.0, False))[0]
 
     def known_robustness(self, pose: Float[np.ndarray, "3"]) -> float | None:
         """Return the robustness of a base pose if it was measured."""
@@ -163,7 +167,7 @@ _MIN_GAIN = 0.06
 _MAX_LOOKUPS = 32
 """Maximum number of poses whose possible robustness is looked up, the cheapest first [-]."""
 _LOOKED_UP = 8
-"""Number of them that are looked up together: about half can be as robust [-]."""
+"""Number of them that are looked up together, twice as many as are checked [-]."""
 _MAX_CHECKS = 4
 """Maximum number of poses of a step that are checked for a path: the cheapest mostly are at the
 edge of the arm's reach [-]."""
@@ -232,17 +236,17 @@ def _checked_steps(
     if problem.home_is_free is not None:
         order = order[problem.home_is_free(left.poses[order])]
     order = order[:_MAX_LOOKUPS]
-    some = iter(order.tolist())
+    chosen = iter(order.tolist())
     if costs.robustness_first and waiting.looks:
-        least = waiting.known_robustness(best.pose) or 0.0
+        least = waiting.robustness_bound(best.pose)
         blocks = np.split(order, range(_LOOKED_UP, len(order), _LOOKED_UP))
-        some = (
+        chosen = (
             int(i)
             for block in blocks
             for i in block[can_be_robust(problem, score, config, left.poses[block], least)]
         )
     # Only poses that are checked count as samples.
-    for i in islice(some, _MAX_CHECKS):
+    for i in islice(chosen, _MAX_CHECKS):
         clear = clear_poses(problem, left.poses[i : i + 1])
         found.note(clear.every, clear.poses.outcomes)
         one = clear.reached(problem, score, on_grid=False)

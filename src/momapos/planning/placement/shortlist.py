@@ -38,7 +38,7 @@ class Shortlist:
     travel: Float[np.ndarray, " n"]
     """Driving length to each pose [m]."""
     outcomes: PoseOutcomes
-    """PoseOutcomes of the whole round, shared by all its shortlists."""
+    """Outcomes of the whole round, shared by all its shortlists."""
     tried: Bool[np.ndarray, " m"]
     """Which poses of the whole round were screened for an arm path."""
     mode_scores: GraspModeScores | None = None
