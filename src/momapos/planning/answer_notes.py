@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,13 +19,10 @@ from momapos.model.scene import (
     resistance_along,
     stays_in_place,
 )
-from momapos.planning.grasps import GraspConfig, own_poses
+from momapos.planning.grasps import GraspConfig, own_poses, shifted_along
 from momapos.verification import PlanVerifier, meets_floor_at
 
 from .task_setup import PreparedTask
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 SPRINGS = "springs are assumed to bear the weight of"
 """Begin of the statement that an answer depends on this guess."""
@@ -75,19 +71,15 @@ def _own_note(prepared: PreparedTask) -> str:
         return ""
     target = prepared.scene.object(task.object)
     link = target.model.urdf.root if task.joint is None else target.joint(task.joint).child
-    R = target.link_poses()[link][:3, :3] @ own[:, :3, :3]
-    known = {one.tobytes() for one in _rounded(motion.Ts_world_tool[:, motion.grasp_step, :3, :3])}
-    used = sum(one.tobytes() in known for one in _rounded(R))
+    Ts, grasps = target.link_poses()[link] @ own, motion.Ts_world_tool[:, motion.grasp_step]
+    # The fingers shift the hand along its closing axis.
+    used = int(shifted_along(Ts, grasps, robot.closing_axis).sum())
     if used == len(own):
         return ""
     return (
         f"{used} of {len(own)} grasps of your own can be used; at the others the hand is not free, "
         f"or does not hold {target.name}"
     )
-
-
-def _rounded(R: Float[np.ndarray, "g 3 3"]) -> Float[np.ndarray, "g 3 3"]:
-    return np.round(R, 5) + 0.0
 
 
 def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

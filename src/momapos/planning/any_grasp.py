@@ -18,7 +18,13 @@ import numpy as np
 from momapos.core import OutOfTimeError
 from momapos.model.records import PoseStatus
 from momapos.model.robots import opened_to
-from momapos.planning.grasps import TaskMotion, held_thickness, with_other_handle
+from momapos.planning.grasps import (
+    SAME_LINE,
+    TaskMotion,
+    held_thickness,
+    shifted_along,
+    with_other_handle,
+)
 
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -26,7 +32,7 @@ from .task_setup import PreparedTask, prepare
 from .time_limit import cut_short, unless_late, with_note
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool
 
     from momapos.planning.grasps import Handle
 
@@ -38,8 +44,6 @@ MIN_SLACK = 0.016
 5 mm of their goals and open hands keep 4 mm from everything."""
 SIMILAR_SHARE = 1 / 3
 """Of the openings with at least this share of the narrowest one's lines, the widest is used [-]."""
-_SAME_LINE = 1e-3
-"""Difference below which approach lines and openings are the same [m] or [-]."""
 
 
 def with_any_grasp(query: PlacementQuery, with_first_handle: Answer) -> PlacementResult:
@@ -200,7 +204,7 @@ def _openings(prepared: PreparedTask) -> list[float]:
     task, widest = prepared.task, prepared.robot.opening
     thin = held_thickness(prepared.scene.object(task.object), task.joint)
     widths = np.linspace(thin + MIN_SLACK, widest, OPENINGS, endpoint=False)
-    return [round(width, 3) for width in widths.tolist() if width < widest - _SAME_LINE]
+    return [round(width, 3) for width in widths.tolist() if width < widest - SAME_LINE]
 
 
 def _added(
@@ -217,21 +221,6 @@ def _added(
         edges = np.array([handle.edge for handle in motion.grasps.handles], bool)
         if len(edges) and not any(handle.edge for handle in known.grasps.handles):
             added &= ~edges[motion.grasps.handle]
-        added &= ~_have_line(motion, known, prepared.robot.approach_axis)
+        ours, theirs = (m.Ts_world_tool[:, m.grasp_step] for m in (motion, known))
+        added &= ~shifted_along(ours, theirs, prepared.robot.approach_axis)
     return added if query.keep_grasps is None else added & query.keep_grasps(motion)
-
-
-def _have_line(
-    motion: TaskMotion, other: TaskMotion, approach: Float[np.ndarray, "3"]
-) -> Bool[np.ndarray, " g"]:
-    """Return which grasps of a motion are on the approach line of a grasp of another."""
-    from scipy.spatial import cKDTree
-
-    lines = []
-    for Ts in (m.Ts_world_tool[:, m.grasp_step] for m in (motion, other)):
-        R, p = Ts[:, :3, :3], Ts[:, :3, 3]
-        direction = R @ approach
-        foot = p - np.einsum("gi,gi->g", p, direction)[:, None] * direction
-        lines.append(np.concatenate([R.reshape(-1, 9), foot], axis=1))
-    nearest, _ = cKDTree(lines[1]).query(lines[0], p=np.inf, distance_upper_bound=_SAME_LINE)
-    return np.isfinite(nearest)

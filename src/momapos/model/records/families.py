@@ -52,9 +52,11 @@ class Family(StrEnum):
     @property
     def tools(self) -> tuple[str, ...]:
         """What a tool may hold with to act like this, as robot files state it."""
-        every = ("fingers", "hook", "suction")
-        only = {Family.PINCH: ("fingers",), Family.HOOK: ("fingers", "hook")}
-        return {**only, Family.SUCTION: ("suction",)}.get(self, every)
+        if self is Family.PINCH:
+            return ("fingers",)
+        if self is Family.SUCTION:
+            return ("suction",)
+        return ("fingers", "hook") if self is Family.HOOK else ("fingers", "hook", "suction")
 
 
 FAMILIES: tuple[Family, ...] = tuple(one for one in Family if one)

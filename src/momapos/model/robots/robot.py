@@ -201,12 +201,7 @@ class Robot:
             InputError: It cannot be called.
         """
         expect_callable("solve", solve)
-        robot = copy(self)
-        vars(robot).pop("finer", None)
-        vars(robot)["own_ik"] = solve
-        if self.fully_open is not None:
-            vars(robot)["fully_open"] = self.fully_open.with_inverse_kinematics(solve)
-        return robot
+        return self._with_own("own_ik", solve)
 
     def with_grasps(self, source: GraspSource) -> Robot:
         """Return the same robot with grasps of your own, in addition to the planner's.
@@ -223,11 +218,15 @@ class Robot:
             InputError: It cannot be called.
         """
         expect_callable("source", source)
+        return self._with_own("own_grasps", source)
+
+    def _with_own(self, name: str, function: object) -> Robot:
+        """Return the same robot with a function of the user's own, also if its hand is open."""
         robot = copy(self)
         vars(robot).pop("finer", None)
-        vars(robot)["own_grasps"] = source
+        vars(robot)[name] = function
         if self.fully_open is not None:
-            vars(robot)["fully_open"] = self.fully_open.with_grasps(source)
+            vars(robot)["fully_open"] = self.fully_open._with_own(name, function)
         return robot
 
     @cached_property

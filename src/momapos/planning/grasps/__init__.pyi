@@ -7,7 +7,9 @@ from .handles import opening_direction as opening_direction
 from .motion_record import FULL_DOF as FULL_DOF
 from .motion_record import TaskMotion as TaskMotion
 from .motion_record import no_turning as no_turning
+from .own_grasps import SAME_LINE as SAME_LINE
 from .own_grasps import own_poses as own_poses
+from .own_grasps import shifted_along as shifted_along
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
 from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT

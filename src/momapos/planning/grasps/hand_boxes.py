@@ -137,6 +137,11 @@ def _reach(boxes: Boxes, axes: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "b
     return np.einsum("kbj,bj->bk", np.abs(axes @ boxes.rotation).transpose(1, 0, 2), boxes.half)
 
 
+def closes_fingers(robot: Robot) -> bool:
+    """Return whether a tool holds with fingers that close."""
+    return robot.grips is Grip.FINGERS and hand_of(robot).closes
+
+
 def empty_handed(robot: Robot) -> str:
     """Explain why a tool cannot grasp (no moving finger) and what would help; "" if it can."""
     model = robot.model

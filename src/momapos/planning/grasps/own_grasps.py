@@ -6,22 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError
+from momapos.core import InputError, owner_cache
 from momapos.model.robots import Robot
 
 from .config import MAX_GRASPS
 from .part_grasps import poses_of
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
 TOLERANCE = 1e-3
 """Largest deviation of a rotation from an orthonormal one [-]; sources compute in single
 precision."""
 
 
+@owner_cache()
 def own_poses(robot: Robot, name: str, joint: str | None) -> Float[np.ndarray, "g 4 4"]:
-    """Return the poses of a robot's own source of grasps; none without a source.
+    """Return the poses of a robot's own source of grasps, once; none without a source.
 
     Args:
         robot: The robot.
@@ -55,6 +56,25 @@ def own_poses(robot: Robot, name: str, joint: str | None) -> Float[np.ndarray, "
         )
     U, _, Vt = np.linalg.svd(R)
     return poses_of(U @ Vt, poses[:, :3, 3])
+
+
+SAME_LINE = 1e-3
+"""Difference below which lines of the hand and openings are the same [m] or [-]."""
+
+
+def shifted_along(
+    Ts: Float[np.ndarray, "g 4 4"], others: Float[np.ndarray, "h 4 4"], axis: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, " g"]:
+    """Return which tool poses differ from one of others at most by a shift along a tool axis."""
+    from scipy.spatial import cKDTree
+
+    lines = []
+    for R, p in ((T[:, :3, :3], T[:, :3, 3]) for T in (Ts, others)):
+        along = R @ axis
+        foot = p - np.einsum("gi,gi->g", p, along)[:, None] * along
+        lines.append(np.concatenate([R.reshape(-1, 9), foot], axis=1))
+    nearest, _ = cKDTree(lines[1]).query(lines[0], p=np.inf, distance_upper_bound=SAME_LINE)
+    return np.isfinite(nearest)
 
 
 def _first(bad: np.ndarray) -> int:

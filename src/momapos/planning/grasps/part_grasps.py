@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from momapos.model.robots import Grip, Robot
 from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
-from .hand_boxes import HandBoxes, empty_handed, hand_of
+from .hand_boxes import HandBoxes, closes_fingers, empty_handed, hand_of
 from .handle_shapes import (
     NEVER,
     CarriedPart,
@@ -443,7 +443,7 @@ def grasps_of(
     hand = hand_of(robot)
     if reason := empty_handed(robot):
         return _none(reason)
-    if robot.grips is Grip.FINGERS and hand.closes:
+    if closes_fingers(robot):
         return _closed(robot, hand, model, joint, sign, handle, config)
     return _touching(robot, hand, model, joint, sign, handle, config)
 
@@ -465,38 +465,6 @@ def push_grasps(
     )  # fmt: skip
 
 
-def _closed(
-    robot: Robot,
-    hand: HandBoxes,
-    model: Articulated,
-    joint: str,
-    sign: float,
-    handle: Handle,
-    config: GraspConfig,
-) -> PartGrasps:
-    """Generate grasps with fingers that close."""
-    elements, held = elements_near_handle(model, joint, handle)
-    lines = approach_lines(robot, handle, config)
-    what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
-    R, p, complexity, line, obstacle = _grasp_depths(hand, elements, lines, handle, config)
-    if not len(R):
-        name = elements[obstacle].link if obstacle >= 0 else handle.name
-        no_room = f"the hand does not fit at {what}: {name} is in the way"
-        return _none(_too_thick(robot, handle, what) or no_room)
-    start = _Start(R, p, complexity, line)
-    near = elements, held
-    return _closed_from(robot, hand, model, joint, sign, handle, start, near, config, what)
-
-
-class _Start(NamedTuple):
-    """Hands that are about to close."""
-
-    R: Float[np.ndarray, "g 3 3"]
-    p: Float[np.ndarray, "g 3"]
-    complexity: Float[np.ndarray, " g"]
-    line: Int[np.ndarray, " g"]
-
-
 def grasps_at(
     robot: Robot,
     model: Articulated,
@@ -507,32 +475,37 @@ def grasps_at(
     config: GraspConfig,
 ) -> PartGrasps:
     """Close the fingers on a handle at given tool poses; see `grasps_of` for the arguments."""
-    hand, count = hand_of(robot), len(Ts_part_tool)
+    hand = hand_of(robot)
     carried = handle.carrier == model.joint(joint).child
-    if not count or not carried or robot.grips is not Grip.FINGERS or not hand.closes:
+    if not len(Ts_part_tool) or not carried or not closes_fingers(robot):
         return _none("")
-    R = np.ascontiguousarray(Ts_part_tool[:, :3, :3])
-    p = np.ascontiguousarray(Ts_part_tool[:, :3, 3])
-    start = _Start(R, p, np.zeros(count), np.arange(count))
-    near, name = elements_near_handle(model, joint, handle), handle.name
-    return _closed_from(robot, hand, model, joint, sign, handle, start, near, config, name)
+    return _closed(robot, hand, model, joint, sign, handle, config, Ts_part_tool)
 
 
-def _closed_from(
+def _closed(
     robot: Robot,
     hand: HandBoxes,
     model: Articulated,
     joint: str,
     sign: float,
     handle: Handle,
-    start: _Start,
-    near: tuple[tuple[Element, ...], Bool[np.ndarray, " e"]],
     config: GraspConfig,
-    what: str,
+    at: Float[np.ndarray, "g 4 4"] | None = None,
 ) -> PartGrasps:
-    """Close the fingers; keep the grasps that hold."""
-    (elements, held), (R, _, complexity, line) = near, start
-    p, travel, met = close_hands(hand, elements, held, R, start.p, config)
+    """Generate grasps with fingers that close: at tool poses, or else along approach lines."""
+    elements, held = elements_near_handle(model, joint, handle)
+    what = handle.name if handle.found is not HandleSource.EDGE else f"the edge of {handle.name}"
+    if at is None:
+        lines = approach_lines(robot, handle, config)
+        R, p, complexity, line, obstacle = _grasp_depths(hand, elements, lines, handle, config)
+    else:
+        R, p = np.ascontiguousarray(at[:, :3, :3]), np.ascontiguousarray(at[:, :3, 3])
+        complexity, line, obstacle = np.zeros(len(at)), np.arange(len(at)), -1
+    if not len(R):
+        name = elements[obstacle].link if obstacle >= 0 else handle.name
+        no_room = f"the hand does not fit at {what}: {name} is in the way"
+        return _none(_too_thick(robot, handle, what) or no_room)
+    p, travel, met = close_hands(hand, elements, held, R, p, config)
     rows = np.flatnonzero(met)
     if not len(rows):
         return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")

@@ -16,7 +16,7 @@ from momapos.model.urdf import Articulated
 
 from .config import HANDLE_POINTS, ROLLS, STANDOFFS, GraspConfig
 from .grasp_families import NO_POSES, Grasps, GraspSelection, firmest_first
-from .hand_boxes import HandBoxes, empty_handed, hand_of
+from .hand_boxes import HandBoxes, closes_fingers, empty_handed, hand_of
 from .handle_shapes import Element, convex_of, corners
 from .part_grasps import (
     HELD_CLEARANCE_SHARE,
@@ -89,7 +89,7 @@ def select_object_grasps(
     weight = (mass, *center.tolist())
     pose = tuple(np.round(T, _DIGITS).ravel().tolist())
     found = _holding(robot, item.model, weight, pose, config, carried)
-    if not len(own) or robot.grips is not Grip.FINGERS or not hand_of(robot).closes:
+    if not len(own) or not closes_fingers(robot):
         return found
     also = _held_at(robot, _Body.of(item.model, weight, pose), T @ own, config, carried=carried)
     if found.reason or also.reason:
@@ -100,16 +100,15 @@ def select_object_grasps(
 def _both(found: GraspSelection, also: GraspSelection) -> GraspSelection:
     """Return two selections as one, ordered again; see `firmest_first`."""
     one, other = found.grasps, also.grasps
-    line = np.append(one.line, other.line + one.line.max() + 1)
-    code, width = np.append(one.code, other.code), np.append(one.width, other.width)
-    capacity, need = np.append(one.capacity, other.capacity), np.append(one.need, other.need)
-    handle = np.zeros(len(line), np.int64)
     # The user's own are as simple as the simplest.
     complexity = np.append(np.arange(len(one)), np.zeros(len(other)))
-    order = firmest_first(capacity, need, complexity, handle)
-    grasps = Grasps(code, width, capacity, need, (), handle, line).take(order)
-    Ts = np.concatenate([found.Ts_part_tool, also.Ts_part_tool])[order]
-    return GraspSelection(np.ascontiguousarray(Ts), grasps, "", "")
+    return _ordered(
+        np.concatenate([found.Ts_part_tool, also.Ts_part_tool]),
+        np.append(one.code, other.code), np.append(one.width, other.width),
+        np.append(one.capacity, other.capacity),
+        np.append(one.line, other.line + one.line.max() + 1), complexity, float(one.need[0]),
+        np.ones(len(complexity), bool),
+    )  # fmt: skip
 
 
 class _Body(NamedTuple):
@@ -172,7 +171,7 @@ def _holding(
     hand = hand_of(robot)
     if robot.grips is Grip.SUCTION:
         return _sucked(robot, hand, elements, lines, need, config)
-    if robot.grips is not Grip.FINGERS or not hand.closes:
+    if not closes_fingers(robot):
         why = empty_handed(robot) or f"{robot.name} has no fingers that close on an object"
         return _none(lines, need, why)
     if _too_wide(robot, lines, config):

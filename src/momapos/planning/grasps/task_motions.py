@@ -11,7 +11,7 @@ import numpy as np
 from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import apply, invert
 from momapos.model.records import Latch, Task
-from momapos.model.robots import Grip, Robot
+from momapos.model.robots import Robot
 from momapos.model.scene import (
     MotionResistance,
     Scene,
@@ -25,7 +25,7 @@ from momapos.model.urdf import Articulated, Boxes, Joint, MovingBoxes, opening_o
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
 from .grasp_families import MIN_LEVER, GraspSelection, select_inner_pushes, select_part_grasps
-from .hand_boxes import hand_of
+from .hand_boxes import closes_fingers, hand_of
 from .handle_shapes import CarriedPart
 from .handles import Handle, HandleKind, find_handle, handles_in_turn
 from .motion_record import TaskMotion, Weight, no_turning, turning_about
@@ -201,7 +201,7 @@ def select_latch_grasps(
     if chosen.reason:
         return chosen
     hand, part = hand_of(robot), CarriedPart.of(model, latch.joint)
-    if robot.grips is not Grip.FINGERS or not hand.closes:
+    if not closes_fingers(robot):
         return replace(
             chosen, reason=f"{robot.name} has no hand that closes on {part.carrier}, to turn it "
             f"and then pull by it",
