@@ -51,6 +51,8 @@ COMMANDS = (
     "place open kitchen_small fridge/door_hinge --robot tiago_dual --tolerance "
     "--tolerance-samples 10000",
     "place open kitchen_small fridge/door_hinge --robot stretch --method exhaustive",
+    "place open kitchen_small fridge/door_hinge --robot fetch --map {d}/out_map.png "
+    "--out {d}/out.json",
     "place open kitchen_island oven/door_hinge --robot fetch then open fridge/door_hinge then pick "
     "cup then close fridge/door_hinge then close oven/door_hinge",
     "view {d}/run.json --static {d}/out.html",

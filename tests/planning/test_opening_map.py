@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.apps.plots.test_plot import answer_of, size_of, unsolved
 
+from momapos import planning
 from momapos.apps.cli.main import main
 from momapos.apps.plots.opening_plot import (
     _figure,
@@ -16,6 +18,7 @@ from momapos.apps.plots.opening_plot import (
     draw_opening_map,
     draw_opening_map_alone,
 )
+from momapos.core import OutOfTimeError
 from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
@@ -117,3 +120,21 @@ def test_the_map_option_writes_a_figure(tmp_path: Path, capsys: pytest.CaptureFi
     assert "unsupported figure format" in capsys.readouterr().err
     assert main([*words, "--map", str(tmp_path / "map.png")]) == 0
     assert size_of(tmp_path / "map.png") == (1600, 1120)
+
+
+def test_a_time_limit_holds_for_the_map_and_leaves_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(*_: Any, **__: Any) -> OpeningMap:
+        raise OutOfTimeError("the time limit of 100 s is over")
+
+    monkeypatch.setattr(planning, "opening_map", endless)
+    words = ["place", "open", "kitchen_small", "cabinet_left/drawer_slide", "--to", "5cm"]
+    plan, drawn = tmp_path / "plan.json", tmp_path / "map.png"
+    assert main([*words, "--timeout", "100", "--map", str(drawn), "--out", str(plan)]) == 4
+    printed = capsys.readouterr()
+    assert "solved" in printed.out
+    assert printed.err.count("\n") == 1
+    assert f"{drawn} is not written: the time limit of 100 s is over" in printed.err
+    assert plan.exists()
+    assert not drawn.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,7 +28,12 @@ from momapos.planning.placement import OURS
 from .base_pose_words import parse_base, parse_pose, parse_robust
 from .bounds import with_time_left, within_time
 from .configuration import NO_SETTINGS, PIPELINE, ConfigArgs, SearchOptions
-from .loading import load_arms_with_maps, load_scene_with_joints, other_robots
+from .loading import (
+    load_arms_with_maps,
+    load_scene_with_joints,
+    other_robots,
+    print_warnings,
+)
 from .options import (
     DEFAULT_SAMPLES,
     EXIT_STATUS,
@@ -58,6 +64,18 @@ if TYPE_CHECKING:
     from momapos.planning.reachability import ArmLength, ReachMap
 
 
+@dataclass(frozen=True)
+class Found:
+    """The best answer of all arms."""
+
+    scene: Scene
+    task: Task
+    arm: tuple[Robot, ReachMap | ArmLength]
+    answer: PlacementResult
+    tried: str
+    """Statuses of all arms; "" for a robot with one arm."""
+
+
 def with_all_time(
     answer: PlacementResult, planning: float, later: Mapping[str, float]
 ) -> PlacementResult:
@@ -76,33 +94,44 @@ def with_all_time(
 
 
 def draw(
-    scene: Scene,
-    task: Task,
-    arm: tuple[Robot, ReachMap | ArmLength],
-    answer: PlacementResult,
+    found: Found,
     config: PipelineConfig,
     *,
     plot: Path | None,
     map_file: Path | None,
     seed: int,
+    seconds: float | None = None,
 ) -> None:
-    """Write the picture and the opening map, each if there is a file for it."""
-    robot, reach = arm
+    """Write the picture and the opening map, each if there is a file for it.
+
+    Args:
+        found: What to draw.
+        config: How to plan.
+        plot: The file of the picture.
+        map_file: The file of the map.
+        seed: The same seed gives the same map.
+        seconds: Processor time of the command in which the map ends [s]; None for any.
+
+    Raises:
+        OutOfTimeError: The map takes longer; it is not written.
+    """
+    robot, reach = found.arm
     if plot is not None:
         from momapos.apps.plots import draw_answer
 
-        draw_answer(scene, answer, reach, plot)
+        draw_answer(found.scene, found.answer, reach, plot)
     if map_file is not None:
         from momapos.apps.plots import draw_opening_map
         from momapos.planning import opening_map
 
         from .console import progress
 
-        with progress(f"{robot.name}: opening map") as report:
+        limit = nullcontext() if seconds is None else within_time(seconds)
+        with limit, progress(f"{robot.name}: opening map") as report:
             farthest = opening_map(
-                scene, robot, task, reach, config=config, seed=seed, report=report
+                found.scene, robot, found.task, reach, config=config, seed=seed, report=report
             )
-        draw_opening_map(scene, answer, farthest, map_file)
+        draw_opening_map(found.scene, found.answer, farthest, map_file)
 
 
 def write(answer: PlacementResult, out: Path | None, *, as_json: bool) -> PlacementResult:
@@ -421,27 +450,23 @@ def _answer(
     # Files first: the reader of the output may close it at any line. The plan before the figures:
     # they can fail, and take long.
     written = write(found.answer, options.out, as_json=options.json)
-    draw(
-        found.scene, found.task, found.arm, found.answer, config, plot=options.plot,
-        map_file=map_file, seed=options.seed,
-    )  # fmt: skip
+    late = None
+    try:
+        # The default limit is for the search of the plan.
+        draw(
+            found, config, plot=options.plot, map_file=map_file, seed=options.seed,
+            seconds=None if options.timeout is None else config.timeout,
+        )  # fmt: skip
+    except OutOfTimeError as error:
+        late = error
     show(written, options.out, as_json=options.json, most=to == MAX, tried=found.tried)
+    if late is not None:
+        print_warnings([f"{map_file} is not written: {late}"])
+        return EXIT_STATUS["timeout"]
     return exit_status(found.answer.plan.status, allow_assumed=options.allow_assumed)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """The best answer of all arms."""
-
-    scene: Scene
-    task: Task
-    arm: tuple[Robot, ReachMap | ArmLength]
-    answer: PlacementResult
-    tried: str
-    """Statuses of all arms; "" for a robot with one arm."""
-
-
-def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) -> _Found:
+def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) -> Found:
     """Plan with each arm, and add what the options ask for."""
     from momapos.core import Stopwatch, processor_time
     from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
@@ -486,4 +511,4 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
             answer = with_tolerance(answer, samples=options.tolerance_samples)
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=False)]
     several = ", ".join(tried) if len(arms) > 1 else ""
-    return _Found(scene, task, chosen, answer, several)
+    return Found(scene, task, chosen, answer, several)
