@@ -253,12 +253,15 @@ class Episode:
         threads = max(1, min(MAX_THREADS, os.cpu_count() or 1))
         ahead: deque[Future[Mapping[Camera, UInt8[np.ndarray, "h w 3"]]]] = deque()
         with ThreadPoolExecutor(threads) as pool:
-            for sample in self.samples:
-                ahead.append(pool.submit(self.renderer.images, sample, self.cameras))
-                if len(ahead) > 2 * threads:
+            try:
+                for sample in self.samples:
+                    ahead.append(pool.submit(self.renderer.images, sample, self.cameras))
+                    if len(ahead) > 2 * threads:
+                        yield ahead.popleft().result()
+                while ahead:
                     yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
+            finally:  # an interrupt leaves the frames that have not begun
+                pool.shutdown(wait=False, cancel_futures=True)
 
 
 def episode_of(

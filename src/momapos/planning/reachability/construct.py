@@ -126,7 +126,7 @@ def _arcs(pan: np.ndarray, frame: ArmAxes, slack: float) -> np.ndarray:
 
 
 log = logging.getLogger(__name__)
-BLOCK = 1024
+BLOCK = 256
 """Lines per block of work of a thread [-]."""
 MIN_DIFFERING_AZIMUTHS = 6
 """An edge is refined if its ends differ in at least this many of the 64 azimuths [-]."""
@@ -221,7 +221,7 @@ def build_map(
     def distances(lo: int, hi: int) -> None:
         near_signed_distances(lo, hi, masks, packed, rows, interior, values)
 
-    in_threads(distances, len(points), 8 * BLOCK)
+    in_threads(distances, len(points), 32 * BLOCK)
     grid = values.reshape(shape)
     close_seam(grid)
     deepen(grid.reshape(-1), packed)

@@ -22,5 +22,9 @@ def in_threads(
     """Run work(lo, hi) over blocks of rows."""
     ranges = [(lo, min(lo + block, count)) for lo in range(0, count, block)]
     with ThreadPoolExecutor(min(2, os.cpu_count() or 1)) as pool:
-        for i, _ in enumerate(pool.map(within_limits(lambda r: work(*r)), ranges)):
-            done((i + 1) / len(ranges))
+        try:
+            for i, _ in enumerate(pool.map(within_limits(lambda r: work(*r)), ranges)):
+                done((i + 1) / len(ranges))
+        except BaseException:  # an interrupt leaves the blocks that have not begun
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
