@@ -15,23 +15,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import TaskError
-from momapos.model.records.plans import Status, Task
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.perception.pipeline import default_tools
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.result import PlacementResult
-from momapos.workflows.joint_belief import plan_by_hypothesis
-from momapos.workflows.solve import scan_to_scene
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.core import TaskError, default_cache_dir
+from momapos.model.records import ReachScorer, Status, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.perception import default_tools
+from momapos.perception.recordings import read_scan
+from momapos.planning import PlacementResult, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.reachability import load_reach_map
+from momapos.workflows import plan_by_hypothesis, scan_to_scene
 
 HALF = 0.5
 

@@ -24,27 +24,18 @@ import numpy as np
 from jaxtyping import Float
 
 from importance_rooms import is_wall
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.core.geometry.polygons import UprightBox
-from momapos.core.geometry.transforms import apply, pose
-from momapos.model.records.protocols import ArticulationPredictor
-from momapos.model.records.scans import Cloud, Detection
-from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import Geometry, Link, Urdf, box_urdf
-from momapos.perception.fusion.gravity import align_to_gravity
-from momapos.perception.fusion.tsdf import fuse
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.core.geometry import UprightBox, apply, pose
+from momapos.model.records import ArticulationPredictor, Cloud, Detection
+from momapos.model.scene import LAYOUTS, Scene, SceneObject, generate_kitchen, load_scene
+from momapos.model.urdf import Articulated, box_urdf
+from momapos.model.urdf.reader import Geometry, Link, Urdf
+from momapos.perception import ScanConfig
+from momapos.perception.fusion import align_to_gravity, fuse
 from momapos.perception.pipeline import split_rows
-from momapos.perception.reconstruction.front_network import FrontNetwork
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import ScanConfig
-from momapos.perception.segmentation.instance_boxes import boxes
-from momapos.perception.segmentation.room_shell import find_room
-from momapos.perception.segmentation.segmenter import ClassicalSegmenter
+from momapos.perception.reconstruction import FrontNetwork
+from momapos.perception.recordings import read_scan
+from momapos.perception.segmentation import ClassicalSegmenter, boxes, find_room
 from placement import SCENES, machine, shared
 
 FURNITURE = ("fridge", "oven", "dishwasher", "microwave", "table")

@@ -22,13 +22,12 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.job import works_disturbed
-from momapos.core.cache import default_cache_dir
-from momapos.model.robots.robot import load_robot
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.core import default_cache_dir
+from momapos.model.robots import load_robot
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import load_reach_map
 from placement import ROBOTS, machine, openings, scene_of
 from rows import keep_rows
 

@@ -20,16 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from momapos.apps.bench.articulated import SETS, set_of
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.reachability.reach_map import ReachMap
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import ReachMap, load_reach_map
 from objects import tasks
 from placement import ROBOTS, SCENES, machine, scene_of
 

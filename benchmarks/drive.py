@@ -21,12 +21,17 @@ from jaxtyping import Float
 
 from drive_figure import draw_drive
 from drive_rooms import People, Question, connected, questions, rooms
-from momapos.core.geometry.transforms import wrap_angle
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.robots.robot_names import library_names
-from momapos.model.scene.scene import Scene
-from momapos.planning.navigation.driving import DriveConfig, DriveEnding, DriveRecord, drive
-from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
+from momapos.core.geometry import wrap_angle
+from momapos.model.robots import Robot, library_names, load_robot
+from momapos.model.scene import Scene
+from momapos.planning.navigation import (
+    DriveConfig,
+    DriveRecord,
+    NavigationMap,
+    build_navigation_map,
+    drive,
+)
+from momapos.planning.navigation.driving import DriveEnding
 
 
 @dataclass(frozen=True, eq=False)

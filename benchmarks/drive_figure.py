@@ -11,13 +11,11 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from drive_rooms import Question
-from momapos.apps.plots.palette import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT
-from momapos.apps.plots.room_plot import draw_footprint, draw_room, name_objects, room_bounds
-from momapos.core.geometry.transforms import place_points, wrap_angle
-from momapos.model.scene.scene import Scene
-from momapos.planning.navigation.driving import DriveRecord
-from momapos.planning.navigation.footprint_map import NavigationMap
-from momapos.planning.navigation.global_path import plan_path
+from momapos.apps.plots import GOOD, INK, SELECTED, SOFT_INK, WAYPOINT, room_bounds
+from momapos.apps.plots.room_plot import draw_footprint, draw_room, name_objects
+from momapos.core.geometry import place_points, wrap_angle
+from momapos.model.scene import Scene
+from momapos.planning.navigation import DriveRecord, NavigationMap, plan_path
 
 EVERY = 0.25
 """Path length between two drawn footprints; a radian counts as 0.5 m [m]."""

@@ -12,22 +12,19 @@ from scipy.ndimage import label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from momapos.core.geometry.polygons import inscribed_radius
-from momapos.core.geometry.transforms import wrap_angle
-from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.task_motions import scene_boxes
-from momapos.planning.navigation.cost_map import (
+from momapos.core.geometry import inscribed_radius, wrap_angle
+from momapos.model.scene import LAYOUTS, Scene, builtin_names, generate_kitchen, load_scene
+from momapos.planning.grasps import scene_boxes
+from momapos.planning.navigation import (
     CELL,
-    FloorPlan,
+    NavigationMap,
     base_height,
     build_cost_map,
     floor_plan,
+    gaps,
 )
-from momapos.planning.navigation.footprint_map import HEADINGS, NavigationMap
-from momapos.planning.navigation.outline_gaps import gaps
+from momapos.planning.navigation.cost_map import FloorPlan
+from momapos.planning.navigation.footprint_map import HEADINGS
 
 MIN_LENGTH = 1.5
 """Minimum geodesic length of a drive [m]."""

@@ -23,20 +23,15 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS, parts, set_of
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import apply
-from momapos.model.robots.hand_openings import opened_as
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import opening_of
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.simulation.config import ExecutionConfig, FurnitureConfig
-from momapos.simulation.execute import attempt
+from momapos.core import MomaposError, default_cache_dir
+from momapos.core.geometry import apply
+from momapos.model.robots import Robot, load_robot, opened_as
+from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import opening_of
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach_map
+from momapos.simulation import ExecutionConfig, FurnitureConfig, attempt
 from objects import objects, room
 from placement import ROBOTS, machine
 from rows import keep_rows

@@ -28,18 +28,16 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.navigation.driving import DriveConfig
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
-from momapos.workflows.run import NO_NOISE, run_plan
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.navigation import DriveConfig
+from momapos.planning.reachability import load_reach_map
+from momapos.simulation import ExecutionConfig, FurnitureConfig
+from momapos.simulation.config import ModelErrorConfig
+from momapos.workflows import NO_NOISE, run_plan
 from placement import shared
 from rows import keep_rows
 

@@ -21,15 +21,13 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS, set_of
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.planning.grasps.task_requests import make_task, slides
-from momapos.planning.keyword_forms import plan_base_placement
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene
+from momapos.planning import plan_base_placement, with_max_opening
+from momapos.planning.grasps import make_task, slides
 from momapos.planning.max_opening import values_before
-from momapos.planning.partial_opening import with_max_opening
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.planning.reachability import load_reach_map
 from objects import CONFIG, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows

@@ -17,14 +17,14 @@ from pathlib import Path
 
 from PIL import Image, ImageSequence
 
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach
-from momapos.simulation.film import GIF, MP4, STRIP, write_film
-from momapos.simulation.run_trace import RunTrace
-from momapos.workflows.run import run_plan
+from momapos.model.robots import load_robot
+from momapos.model.scene import load_scene
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach
+from momapos.simulation import GIF, MP4, RunTrace, write_film
+from momapos.simulation.film import STRIP
+from momapos.workflows import run_plan
 
 PAGE = (720, 405)
 """Size of the README's GIF [px]."""

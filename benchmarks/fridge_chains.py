@@ -18,19 +18,17 @@ from pathlib import Path
 
 import numpy as np
 
+from momapos.apps.bench import read_folder
 from momapos.apps.bench.bench_records import SuiteTask
-from momapos.apps.bench.folder import read_folder
-from momapos.core.stopwatch import Stopwatch
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
+from momapos.core import Stopwatch
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import PipelineConfig, PlacementQuery, Request, Tour
 from momapos.planning.chains import plan_chain, without_part
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.grasps import make_task
 from momapos.planning.plan import plan_placement
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach
-from momapos.planning.tour import Request, Tour, plan_requests
+from momapos.planning.reachability import load_reach
+from momapos.planning.tour import plan_requests
 from placement import machine
 from tours import valid
 

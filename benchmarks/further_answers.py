@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import iter_placements
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.core import default_cache_dir
+from momapos.model.robots import load_robot
+from momapos.model.scene import load_scene
+from momapos.planning import PipelineConfig, iter_placements
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach_map
 from placement import machine
 from rows import keep_rows
 

@@ -26,12 +26,12 @@ from playwright.sync_api import sync_playwright
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view import opened_source
+from momapos.apps.web import served
 from momapos.apps.web.cameras import FIELD, front_of, task_viewpoint
 from momapos.apps.web.extras import render
 from momapos.apps.web.page import Page
-from momapos.apps.web.serve import served
-from momapos.core.cache import USER_CACHE
-from momapos.core.geometry.transforms import rotation
+from momapos.core import USER_CACHE
+from momapos.core.geometry import rotation
 
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--no-sandbox"]  # fmt: skip

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS, parts, set_of
-from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene
-from momapos.model.urdf.articulated import opening_of
+from momapos.core.geometry import apply
+from momapos.model.scene import Scene
+from momapos.model.urdf import opening_of
 from objects import objects, room
 from scan_parts import AXIS, Way, way_of
 

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from momapos.apps.cli.main import main as momapos
-from momapos.model.robots.robot_names import library_file, library_names
+from momapos.model.robots import library_file, library_names
 
 SCHEMAS = Path(__file__).parents[1] / "docs" / "schemas"
 LIMIT = 60

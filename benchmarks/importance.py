@@ -20,16 +20,12 @@ from typing import cast
 
 import numpy as np
 
-from momapos.core.geometry.transforms import pose
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import box_urdf
-from momapos.planning.importance.config import GraphConfig, ImportanceConfig, ScorerName
-from momapos.planning.importance.ranking import rank
-from momapos.planning.importance.scene_graph import KINDS, build_graph
+from momapos.core.geometry import pose
+from momapos.model.scene import Scene, SceneObject, builtin_names, load_scene
+from momapos.model.urdf import Articulated, box_urdf
+from momapos.planning.importance import KINDS, ImportanceConfig, ScorerName, rank
+from momapos.planning.importance.config import GraphConfig
+from momapos.planning.importance.scene_graph import build_graph
 from momapos.planning.importance.scorers import SCORERS
 
 SEEDS = 8

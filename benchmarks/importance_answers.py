@@ -15,19 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.records.plans import KeyObjects, Task
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.importance.config import ImportanceConfig, ScorerName
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.verification.exact_check import PlanVerifier
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.records import KeyObjects, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, builtin_names, load_scene
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.importance import ImportanceConfig, ScorerName
+from momapos.planning.reachability import load_reach_map
+from momapos.verification import PlanVerifier
 from placement import SCENES, machine, shared
 
 RUNS: tuple[tuple[str, ScorerName, float], ...] = (

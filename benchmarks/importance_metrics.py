@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import rankdata
 
-from momapos.apps.plots.palette import FAINT, INK, SOFT_INK
+from momapos.apps.plots import INK, SOFT_INK
+from momapos.apps.plots.palette import FAINT
 
 ALPHA = 0.45
 """The paper's threshold [-]."""

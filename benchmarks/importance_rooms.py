@@ -10,14 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from momapos.core.geometry.transforms import pose
-from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import box_urdf
-from momapos.planning.grasps.task_requests import openable
+from momapos.core.geometry import pose
+from momapos.model.scene import LAYOUTS, Scene, SceneObject, generate_kitchen, load_scene
+from momapos.model.urdf import Articulated, box_urdf
+from momapos.planning.grasps import openable
 from placement import SCENES, shared
 
 OBJECTS = 30

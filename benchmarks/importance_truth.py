@@ -27,24 +27,20 @@ from jaxtyping import Float, Int
 
 from importance_metrics import draw, summary, table
 from importance_rooms import Room, built_in_rooms, is_wall, shared_rooms
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import compose
-from momapos.model.records.plans import Task
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.planning.arm_motion.feasibility import Feasibility
-from momapos.planning.arm_motion.hand_clearance import collision_free_grasps
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.task_requests import hand_path, make_task
-from momapos.planning.importance.config import EdgesName, GraphConfig, ImportanceConfig, ScorerName
-from momapos.planning.importance.ranking import rank
-from momapos.planning.placement.area import BaseStatus, base_pose_status, sampling_box, task_frame
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.task_setup import collision_world, placement_geometry
+from momapos.core import MomaposError, default_cache_dir
+from momapos.core.geometry import compose
+from momapos.model.records import ReachScorer, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, SceneObject
+from momapos.planning import PipelineConfig, collision_world
+from momapos.planning.arm_motion import Feasibility, collision_free_grasps
+from momapos.planning.grasps import hand_path, make_task, task_motion
+from momapos.planning.importance import ImportanceConfig, ScorerName, rank
+from momapos.planning.importance.config import EdgesName, GraphConfig
+from momapos.planning.placement import BaseStatus, base_pose_status
+from momapos.planning.placement.area import sampling_box, task_frame
+from momapos.planning.reachability import load_reach_map
+from momapos.planning.task_setup import placement_geometry
 
 CONFIG = PipelineConfig()
 GRASPS = 8

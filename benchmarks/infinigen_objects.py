@@ -29,12 +29,10 @@ import trimesh
 from trimesh.visual import ColorVisuals
 
 from momapos.apps.bench.articulated import USUAL, Usual, set_of
-from momapos.core.geometry.transforms import pose_planar
-from momapos.model.scene.formats.urdf_writer import urdf_text
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import read_urdf
-from momapos.model.urdf.urdf_records import Geometry, Joint, Urdf
+from momapos.core.geometry import pose_planar
+from momapos.model.scene import SceneObject
+from momapos.model.scene.formats import urdf_text
+from momapos.model.urdf import Articulated, Geometry, Joint, Urdf, read_urdf
 
 KINDS = {
     "dishwasher": USUAL["Dishwasher"],

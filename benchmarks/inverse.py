@@ -17,12 +17,10 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from momapos.model.kinematics.chain import Chain, build_chain
-from momapos.model.kinematics.ik import bounded, build_ik, solve_ik
+from momapos.model.kinematics import Chain, bounded, build_chain, build_ik, solve_ik
+from momapos.model.robots import library_names, load_robot
 from momapos.model.robots.amended_urdf import Amendments
-from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_names import library_names
-from momapos.model.urdf.articulated import Articulated
+from momapos.model.urdf import Articulated
 from momapos.model.urdf.reader import Mimic
 
 

@@ -16,13 +16,12 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from momapos.core.errors import InputError
-from momapos.model.records.scans import Detection
-from momapos.perception.detection.yolox import YoloxDetector
-from momapos.perception.pipeline import default_tools, survey
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import Survey
-from momapos.perception.segmentation.pointing import PixelOf, pointed_at
+from momapos.core import InputError
+from momapos.model.records import Detection
+from momapos.perception import Survey, default_tools, survey
+from momapos.perception.detection import YoloxDetector
+from momapos.perception.recordings import read_scan
+from momapos.perception.segmentation import PixelOf, pointed_at
 
 THINGS: tuple[tuple[str, str, tuple[int, int, int], tuple[str, ...]], ...] = (
     ("dining table", "table", (0, 454, 300), ("table",)),

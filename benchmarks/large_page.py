@@ -23,19 +23,15 @@ from pathlib import Path
 import numpy as np
 
 from hostile import CAMERA
-from momapos.apps.web.opened import OpenedScan
+from momapos.apps.web import OpenedScan, served
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.playback import FRAME_GAPS, SLOW_FRAME_TIME
-from momapos.apps.web.serve import served
-from momapos.core.cache import USER_CACHE
-from momapos.core.geometry.polygons import UprightBox
-from momapos.model.records.scans import Cloud, Detection, Scan
-from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.perception.records import Decision, Modeled
+from momapos.core import USER_CACHE
+from momapos.core.geometry import UprightBox
+from momapos.model.records import Cloud, Detection, Scan
+from momapos.model.scene import Scene, SceneObject, copied, load_scene, save_scene
+from momapos.perception import Decision, Modeled
 from pages import Tab
 
 QUIET = 2.0

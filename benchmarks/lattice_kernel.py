@@ -7,17 +7,22 @@ from typing import NamedTuple
 import numpy as np
 
 from momapos.core.compiled import C1, F1, F2, F3, I1, entry, kernel
-from momapos.model.collision.arm_collision import FREE, scratch_of
-from momapos.model.collision.collision_world import check_one
-from momapos.model.kinematics.chain import (
+from momapos.model.collision import FREE, check_one, scratch_of
+from momapos.model.kinematics import (
+    COARSE,
+    MAX_BRANCHES,
     ArmArrays,
     ChainArrays,
     CollisionArrays,
+    LoadArrays,
     TaskState,
+    begin_pose,
+    ik_scratch,
+    load_excess,
+    load_scratch,
+    solve_sample,
+    state_loads,
 )
-from momapos.model.kinematics.closed_forms import MAX_BRANCHES
-from momapos.model.kinematics.ik import COARSE, begin_pose, ik_scratch, solve_sample
-from momapos.model.kinematics.statics import LoadArrays, load_excess, load_scratch, state_loads
 
 NONE, REACHED, CLEAR, BORNE, PULLED = 0, 1, 2, 3, 4
 """Levels of a node: no arm state, one that collides, a free one, one that bears the part's

@@ -9,28 +9,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lattice_kernel import LatticeJobs, Sliding, rate_nodes
-from momapos.core.errors import TaskError
-from momapos.core.geometry.polygons import all_inside
-from momapos.core.geometry.transforms import place_points, rotation
-from momapos.model.collision.arm_collision import FREE
-from momapos.model.collision.base_collision import base_hits
-from momapos.model.collision.collision_world import CollisionWorld, collision_arrays
-from momapos.model.kinematics.chain import Chain, chain_arrays, with_base_slides
+from momapos.core import TaskError
+from momapos.core.geometry import all_inside, place_points, rotation
+from momapos.model.collision import FREE, CollisionWorld, base_hits, collision_arrays
+from momapos.model.kinematics import (
+    Chain,
+    IkModel,
+    arm_arrays,
+    build_ik,
+    chain_arrays,
+    with_base_slides,
+)
 from momapos.model.kinematics.closed_forms import SLIDES
-from momapos.model.kinematics.ik import IkModel, arm_arrays, build_ik
-from momapos.model.records.plans import MOVING_PULL
-from momapos.model.robots.load_limits import robot_loads
-from momapos.model.robots.robot import Robot
-from momapos.model.scene.joint_resistance import stays_in_place
-from momapos.model.urdf.articulated import opening_of
-from momapos.planning.arm_motion.hand_clearance import arm_spheres, hand_hits_along
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.handles import Handle
-from momapos.planning.grasps.motion_record import FULL_DOF, TaskMotion
-from momapos.planning.grasps.task_motions import task_motion, with_other_handle
-from momapos.planning.query import PlacementQuery
+from momapos.model.records import MOVING_PULL
+from momapos.model.robots import Robot, robot_loads
+from momapos.model.scene import stays_in_place
+from momapos.model.urdf import opening_of
+from momapos.planning import PipelineConfig, PlacementQuery, collision_world
+from momapos.planning.arm_motion import arm_spheres
+from momapos.planning.arm_motion.hand_clearance import hand_hits_along
+from momapos.planning.grasps import FULL_DOF, Handle, TaskMotion, task_motion, with_other_handle
 from momapos.planning.search_setup import SearchSetup
-from momapos.planning.task_setup import collision_world
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, Int8

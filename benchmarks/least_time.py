@@ -21,23 +21,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.apps.bench import all_rows, method_config, read_folder
 from momapos.apps.bench.bench_records import SuiteTask
-from momapos.apps.bench.folder import all_rows, read_folder, scene_path
-from momapos.apps.bench.methods import method_config, without
-from momapos.core.cache import default_cache_dir
-from momapos.core.stopwatch import Stopwatch
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_by_method
-from momapos.planning.placement.pose_search import search_in_order
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.result import PlacementResult
-from momapos.planning.search_setup import prepare_search
+from momapos.apps.bench.folder import scene_path
+from momapos.apps.bench.methods import without
+from momapos.core import Stopwatch, default_cache_dir
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import (
+    PipelineConfig,
+    PlacementQuery,
+    PlacementResult,
+    plan_by_method,
+    prepare_search,
+)
+from momapos.planning.grasps import make_task, task_motion
+from momapos.planning.placement import search_in_order
+from momapos.planning.reachability import load_reach_map
 from placement import machine
 from rows import keep_rows
 

@@ -24,10 +24,9 @@ from typing import Any
 import mujoco
 
 from mjcf_support import Found, Truth, compare
-from momapos.model.scene.formats.importing import write_mjcf, write_room
+from momapos.model.scene import builtin_names, load_scene
+from momapos.model.scene.formats import write_mjcf, write_room
 from momapos.model.scene.formats.mjcf import read_room
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_names import builtin_names
 
 MAX_GEOM_ERROR = 5e-3
 """Maximum error of a right geom [m]."""

@@ -16,10 +16,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.meshes import mesh_points
+from momapos.core.geometry import apply
+from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import mesh_points
 from momapos.model.urdf.reader import Geometry
 
 DIRECTIONS = np.array([d for d in product((-1, 0, 1), repeat=3) if any(d)], float)

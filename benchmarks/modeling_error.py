@@ -42,27 +42,24 @@ from momapos.apps.cli.scan_options import (
     stand_ins,
     tools_for,
 )
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, true_box, write_scan
-from momapos.core.errors import InputError, MomaposError
-from momapos.core.geometry.polygons import UprightBox, top
-from momapos.core.geometry.transforms import apply, pose
-from momapos.model.records.scans import Frame
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import Urdf, box_urdf, read_urdf
-from momapos.perception.reconstruction.object_model import furniture_model
-from momapos.perception.reconstruction.scene_builder import build_scene
-from momapos.perception.records import Decision, Modeled, PartSource
-from momapos.perception.views.faces import Face
-from momapos.perception.views.front_view import FrontView, cosines_to
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.apps.synthetic_scans.recording import true_box
+from momapos.core import InputError, MomaposError
+from momapos.core.geometry import UprightBox, apply, pose, top
+from momapos.model.records import Frame
+from momapos.model.scene import Scene, SceneObject, load_scene
+from momapos.model.urdf import Articulated, box_urdf, read_urdf
+from momapos.model.urdf.reader import Urdf
+from momapos.perception import Decision, Modeled
+from momapos.perception.reconstruction import build_scene, furniture_model
+from momapos.perception.records import PartSource
+from momapos.perception.views import Face, FrontView
+from momapos.perception.views.front_view import cosines_to
 from momapos.perception.views.placed_parts import projection
+from momapos.planning.grasps import hand_path
 from momapos.planning.grasps.handle_shapes import HANDLE_WORD
 from momapos.planning.grasps.handles import has_handle
-from momapos.planning.grasps.task_requests import hand_path
-from momapos.workflows.solve import scan_to_scene
+from momapos.workflows import scan_to_scene
 from placement import shared
 
 FRIDGES = ("Fridge/10144", "Fridge/11299", "Fridge/12248", "MiniFridge/10797",

@@ -28,19 +28,16 @@ from typing import TypeAlias, get_args
 
 import numpy as np
 
-from momapos.core.cache import USER_CACHE
-from momapos.core.errors import MomaposError
-from momapos.core.stopwatch import Stopwatch
-from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.core import USER_CACHE, MomaposError, Stopwatch
+from momapos.model.plan_files import write_plan
+from momapos.model.robots import load_robot
+from momapos.model.scene import load_scene
+from momapos.planning import BaseUse, PipelineConfig, PlacementQuery
 from momapos.planning.base_use import plan_moving
-from momapos.planning.config import BaseUse, PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
+from momapos.planning.grasps import make_task
 from momapos.planning.plan import plan_placement
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach
-from momapos.verification.plan_check import verify_files
+from momapos.planning.reachability import load_reach
+from momapos.verification import verify_files
 from placement import machine, openings, shared
 
 Opening: TypeAlias = tuple[str, str, str, str]

@@ -28,18 +28,13 @@ import numpy as np
 
 from lattice_nodes import Lattice
 from lattice_paths import Neighbors, Reach
-from momapos.core.cache import USER_CACHE
-from momapos.core.errors import MomaposError
-from momapos.core.stopwatch import Stopwatch
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.task_motions import task_motion
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach
-from momapos.planning.search_setup import prepare_search
+from momapos.core import USER_CACHE, MomaposError, Stopwatch
+from momapos.model.records import ReachScorer
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import PlacementQuery, prepare_search
+from momapos.planning.grasps import make_task, task_motion
+from momapos.planning.reachability import load_reach
 from placement import machine, openings, shared
 
 _ANSWER = re.compile(r"^(\S+) (fixed|stops|moving) (\S+) (\S+)/(\S+) (solved|infeasible|timeout) ")

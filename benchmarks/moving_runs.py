@@ -19,16 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from execution import SPREAD
-from momapos.core.errors import MomaposError
-from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.other_motion import as_planned
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.reachability.map_store import load_reach
-from momapos.simulation.config import ExecutionConfig, FurnitureConfig
-from momapos.workflows.run import run_plan
+from momapos.core import MomaposError
+from momapos.model.plan_files import read_plan
+from momapos.model.records import ReachScorer
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, as_planned, load_scene
+from momapos.planning.reachability import load_reach
+from momapos.simulation import ExecutionConfig, FurnitureConfig
+from momapos.workflows import run_plan
 from placement import machine
 
 HARD = 150.0

@@ -36,16 +36,13 @@ import numpy as np
 
 from momapos.apps.cli.loading import open_plan
 from momapos.apps.cli.main import main as momapos
-from momapos.apps.schemas.generate import schema_of
-from momapos.core.cache import USER_CACHE
-from momapos.core.errors import MomaposError
-from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.robots.robot import Robot
-from momapos.model.scene.other_motion import as_planned
-from momapos.model.scene.scene import Scene
-from momapos.simulation.exact_run import run_exactly
-from momapos.verification import plan_check, plan_claims
-from momapos.verification.plan_check import find_file, read_scene
+from momapos.apps.schemas import schema_of
+from momapos.core import USER_CACHE, MomaposError
+from momapos.model.plan_files import read_plan
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene, as_planned
+from momapos.simulation import run_exactly
+from momapos.verification import find_file, plan_check, plan_claims, read_scene
 from mutations import ACCEPTED, REFUSED, amount, loaded, ours, recompute_tool_poses, theirs
 from placement import machine
 from rows import keep_rows

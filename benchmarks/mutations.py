@@ -29,19 +29,15 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import pose_planar
-from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.verification.plan_check import verify_files
+from momapos.core import MomaposError, default_cache_dir
+from momapos.core.geometry import pose_planar
+from momapos.model.plan_files import write_plan
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, builtin_names, copied, load_scene, save_scene
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.reachability import load_reach_map
+from momapos.verification import verify_files
 from objects import CONFIG, tasks
 from placement import ROBOTS, machine
 from rows import keep_rows

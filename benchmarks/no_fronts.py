@@ -20,15 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.perception.pipeline import default_tools
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.workflows.solve import scan_to_scene
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.core import MomaposError
+from momapos.core.geometry import apply
+from momapos.model.scene import Scene, SceneObject
+from momapos.perception import default_tools
+from momapos.perception.recordings import read_scan
+from momapos.workflows import scan_to_scene
 from object_kitchens import Place, kitchen
 
 OBJECTS = 10

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from momapos.core.geometry.transforms import invert, pose_planar
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
+from momapos.core.geometry import invert, pose_planar
+from momapos.model.scene import Scene, SceneObject
 
 BETWEEN = 0.08
 """Free width between two objects of a kitchen [m]."""

@@ -35,26 +35,19 @@ import numpy as np
 
 from execution import ERRORS, SPREAD
 from momapos.apps.bench.articulated import SETS, USUAL, Usual, lone_room, parts, set_of
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import save_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import read_urdf
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.config import GraspConfig
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.plan_files import write_plan
+from momapos.model.records import PlacementPlan
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, SceneObject, copied, save_scene
+from momapos.model.urdf import Articulated, read_urdf
+from momapos.planning import PipelineConfig, plan_base_placement, with_max_opening
+from momapos.planning.grasps import GraspConfig, make_task, slides
 from momapos.planning.grasps.handles import has_handle
-from momapos.planning.grasps.task_requests import make_task, slides
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.partial_opening import with_max_opening
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig
-from momapos.workflows.run import run_plan
+from momapos.planning.reachability import load_reach_map
+from momapos.simulation import ExecutionConfig, FurnitureConfig
+from momapos.simulation.config import ModelErrorConfig
+from momapos.workflows import run_plan
 from placement import ROBOTS, machine, shared
 
 CONFIG = PipelineConfig(timeout=60.0)

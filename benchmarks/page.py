@@ -22,11 +22,11 @@ import numpy as np
 from momapos.apps.web.answer_view import READY
 from momapos.apps.web.follow import DRAG_TIME_LIMIT
 from momapos.apps.web.probe import Probe
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach
+from momapos.model.robots import load_robot
+from momapos.model.scene import load_scene
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach
 from pages import Tab
 
 TASKS = (

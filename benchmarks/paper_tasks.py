@@ -28,19 +28,15 @@ from momapos.apps.bench.paper_rooms import (
     draw_layout,
     small_objects,
 )
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.records.plans import Task
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_by_method
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.workflows.run import run_plan
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.records import ReachScorer, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import PipelineConfig, plan_by_method
+from momapos.planning.grasps import make_task
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import load_reach_map
+from momapos.workflows import run_plan
 from placement import machine
 from placers import METHODS
 

@@ -26,10 +26,10 @@ from PIL import Image, ImageDraw
 from training.fronts import cabinets, generator
 
 from momapos.apps.bench.articulated import SETS
-from momapos.model.records.scans import FaceImage, Front
+from momapos.model.records import FaceImage, Front
+from momapos.perception.reconstruction import FrontNetwork, weighted_by_height
 from momapos.perception.reconstruction.decode import overlaps
-from momapos.perception.reconstruction.front_network import FrontNetwork
-from momapos.perception.reconstruction.usual_kinds import EYE_HEIGHT, weighted_by_height
+from momapos.perception.reconstruction.usual_kinds import EYE_HEIGHT
 from parts_real import TrueFace, TruePart, photo_faces, real_faces
 from placement import shared as default_shared
 

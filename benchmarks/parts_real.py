@@ -19,7 +19,7 @@ from PIL import Image
 from scipy import ndimage
 
 from momapos.apps.bench.articulated import set_of
-from momapos.model.records.scans import FaceImage, PartKind
+from momapos.model.records import FaceImage, PartKind
 
 PIXEL = 0.003
 """Size of a rendered pixel [m]."""

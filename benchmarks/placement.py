@@ -21,18 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import Cache, default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.records.outcomes import PoseStatus
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.core import Cache, MomaposError, default_cache_dir
+from momapos.model.records import PoseStatus
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, builtin_names, load_scene
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import load_reach_map
 
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",

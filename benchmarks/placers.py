@@ -21,20 +21,15 @@ from typing import Any, get_args
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.records.plans import Task
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable, slides
-from momapos.planning.keyword_forms import plan_by_method
-from momapos.planning.placement.config import Method, PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.result import PlacementResult
-from momapos.verification.exact_check import PlanVerifier
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.records import ReachScorer, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, builtin_names
+from momapos.planning import PipelineConfig, PlacementResult, plan_by_method
+from momapos.planning.grasps import make_task, openable, slides
+from momapos.planning.placement import Method, PlaceConfig
+from momapos.planning.reachability import load_reach_map
+from momapos.verification import PlanVerifier
 from placement import machine, scene_of
 
 METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")

@@ -19,23 +19,21 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from momapos.core.geometry.transforms import pose
-from momapos.model.collision.arm_collision import FREE, check_states
-from momapos.model.kinematics.chain import chain_arrays
-from momapos.model.kinematics.ik import one_turn
-from momapos.model.robots.robot import Robot, load_arms, load_robot
-from momapos.model.robots.robot_names import library_names
-from momapos.planning.reachability.arm_axes import no_map
-from momapos.planning.reachability.construct import build_map
-from momapos.planning.reachability.map_store import (
+from momapos.core.geometry import pose
+from momapos.model.collision import FREE, check_states
+from momapos.model.kinematics import chain_arrays, one_turn
+from momapos.model.robots import Robot, library_names, load_arms, load_robot
+from momapos.planning.reachability import (
+    ReachConfig,
+    ReachMap,
     build_true_map,
-    decode,
     encode,
     evaluate,
     load_reach_map,
-    random_poses,
+    no_map,
 )
-from momapos.planning.reachability.reach_map import ReachConfig, ReachMap
+from momapos.planning.reachability.construct import build_map
+from momapos.planning.reachability.map_store import decode, random_poses
 
 
 def machine() -> str:

@@ -21,19 +21,15 @@ from typing import Any
 import numpy as np
 
 from inverse import found_of
-from momapos.core.cache import USER_CACHE
-from momapos.core.errors import MomaposError
-from momapos.model.records.outcomes import PoseStatus
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.core import USER_CACHE, MomaposError
+from momapos.model.records import PlacementPlan, PoseStatus, ReachScorer
+from momapos.model.robots import Robot, load_robot
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task, openable
 from momapos.planning.grasps.hand_boxes import empty_handed
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import encode, evaluate, load_reach
-from momapos.planning.reachability.reach_map import ReachMap
-from momapos.workflows.run import run_plan
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import ReachMap, encode, evaluate, load_reach
+from momapos.workflows import run_plan
 from placement import CONFIG, SCENES, scene_of
 
 POSES, DRAWN = 12_000, 4_000

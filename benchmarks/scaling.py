@@ -15,20 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.geometry.transforms import pose
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import Articulated
-from momapos.model.urdf.reader import box_urdf
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.config import MotionConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.core import default_cache_dir
+from momapos.core.geometry import pose
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, SceneObject, load_scene
+from momapos.model.urdf import Articulated, box_urdf
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import MotionConfig, make_task
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import load_reach_map
 
 REPEATS = 5
 LABELS = {

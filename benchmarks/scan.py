@@ -19,27 +19,19 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.geometry.transforms import apply, invert, pose_planar
-from momapos.model.records.plans import PlacementPlan, Task
-from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.urdf.articulated import opening_of
-from momapos.perception.pipeline import default_tools
-from momapos.perception.records import Modeled
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.handles import opening_direction
-from momapos.planning.grasps.task_requests import hand_path, make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.placement.config import PlaceConfig
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.result import PlacementResult
-from momapos.verification.exact_check import PlanVerifier
-from momapos.verification.report import Limits
-from momapos.workflows.joint_belief import plan_by_hypothesis
-from momapos.workflows.solve import scan_to_scene
+from momapos.core import default_cache_dir
+from momapos.core.geometry import apply, invert, pose_planar
+from momapos.model.records import PlacementPlan, ReachScorer, Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.model.urdf import opening_of
+from momapos.perception import Modeled, default_tools
+from momapos.planning import PipelineConfig, PlacementResult, plan_base_placement
+from momapos.planning.grasps import hand_path, make_task, openable, opening_direction
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import load_reach_map
+from momapos.verification import Limits, PlanVerifier
+from momapos.workflows import plan_by_hypothesis, scan_to_scene
 from scan_rooms import Room, rooms
 
 MARGIN = 0.02

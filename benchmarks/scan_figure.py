@@ -21,13 +21,12 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Polygon
 
-from momapos.core.geometry.polygons import UprightBox, box_axes
-from momapos.core.geometry.transforms import apply
-from momapos.model.records.scans import Detection, Frame, Part
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import Decision, Modeled
-from momapos.perception.views.faces import Face
-from momapos.workflows.solve import scan_to_scene
+from momapos.core.geometry import UprightBox, apply, box_axes
+from momapos.model.records import Detection, Frame, Part
+from momapos.perception import Decision, Modeled
+from momapos.perception.recordings import read_scan
+from momapos.perception.views import Face
+from momapos.workflows import scan_to_scene
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#aa3377", "#7a5c00", "#4b4bc8")
 MIN_VOLUME = 0.04

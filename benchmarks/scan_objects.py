@@ -37,30 +37,22 @@ import numpy as np
 
 from execution import SPREAD
 from momapos.apps.bench.articulated import SETS, Usual, parts, set_of
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import invert, pose_planar
-from momapos.model.records.plans import PlacementPlan
-from momapos.model.records.scans import Scan
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.other_motion import scene_with_part_motion
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.model.urdf.articulated import opening_of
-from momapos.perception.detection.yolox import YoloxDetector
-from momapos.perception.pipeline import default_tools
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import Tools
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.simulation.config import ExecutionConfig, FurnitureConfig
-from momapos.simulation.true_worlds import moved as in_other_frame
-from momapos.workflows.run import run_plan
-from momapos.workflows.solve import scan_to_scene
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.core import MomaposError, default_cache_dir
+from momapos.core.geometry import invert, pose_planar
+from momapos.model.records import PlacementPlan, Scan
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, load_scene, scene_with_part_motion
+from momapos.model.urdf import opening_of
+from momapos.perception import Tools, default_tools
+from momapos.perception.detection import YoloxDetector
+from momapos.perception.recordings import read_scan
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach_map
+from momapos.simulation import ExecutionConfig, FurnitureConfig
+from momapos.simulation import moved as in_other_frame
+from momapos.workflows import run_plan, scan_to_scene
 from object_kitchens import Place, kitchen
 from object_rooms import listed
 from objects import objects, room

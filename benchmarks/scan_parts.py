@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from momapos.apps.bench.articulated import parts, set_of
-from momapos.core.geometry.transforms import apply
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.articulated import opening_of
+from momapos.core.geometry import apply
+from momapos.model.scene import Scene, SceneObject
+from momapos.model.urdf import opening_of
 from scan import handle_at
 
 LOCATED = 0.5

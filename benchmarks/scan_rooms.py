@@ -6,13 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.model.records.scans import Scan
-from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.perception.recordings.scan_reader import read_scan
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.model.records import Scan
+from momapos.model.scene import LAYOUTS, Scene, generate_kitchen, load_scene
+from momapos.perception.recordings import read_scan
 
 
 @dataclass(frozen=True)

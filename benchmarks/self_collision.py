@@ -12,10 +12,9 @@ import time
 
 import numpy as np
 
-from momapos.model.collision.self_collision import contacts, decided_by_hulls
+from momapos.model.collision import contacts, decided_by_hulls
+from momapos.model.robots import Robot, library_names, load_arms
 from momapos.model.robots.load_limits import sample_states, touches
-from momapos.model.robots.robot import Robot, load_arms
-from momapos.model.robots.robot_names import library_names
 
 REPEATS = 5
 

@@ -27,20 +27,17 @@ from pathlib import Path
 
 from beliefs import HALF, scan_of
 from momapos.apps.cli.main import main as momapos
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.core.geometry.transforms import invert
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.perception.pipeline import default_tools
-from momapos.perception.recordings.scan_reader import read_scan
-from momapos.perception.records import ScanConfig
-from momapos.perception.views.front_view import ViewMethod
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.workflows.solve import scan_to_scene
+from momapos.core import MomaposError, default_cache_dir
+from momapos.core.geometry import invert
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.perception import ScanConfig, default_tools
+from momapos.perception.recordings import read_scan
+from momapos.perception.views import ViewMethod
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.reachability import load_reach_map
+from momapos.workflows import scan_to_scene
 from scan import match
 
 CHAINS: dict[str, tuple[ViewMethod, tuple[str, ...]]] = {

@@ -38,7 +38,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
+from momapos.core import default_cache_dir
 from placement import machine
 from rows import keep_rows
 

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.errors import TaskError
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
-from momapos.perception.pipeline import default_tools, model_room, survey
-from momapos.planning.grasps.task_requests import openable
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.workflows.solve import ScanTask, solve_scan
+from momapos.core import TaskError
+from momapos.model.robots import load_robot
+from momapos.model.scene import load_scene
+from momapos.perception import default_tools, model_room, survey
+from momapos.planning.grasps import openable
+from momapos.planning.reachability import load_reach_map
+from momapos.workflows import ScanTask, solve_scan
 from placement import machine
 from scan_rooms import Room, rooms
 

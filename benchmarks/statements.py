@@ -24,22 +24,22 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.records.plans import Task
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.kitchens import LAYOUTS, generate_kitchen
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.advice import with_advice
-from momapos.planning.base_pose_check import plan_at_pose
-from momapos.planning.config import BaseUse, PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, slides
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.partial_opening import with_max_opening
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.result import PlacementResult
+from momapos.core import MomaposError, default_cache_dir
+from momapos.model.records import Task
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import LAYOUTS, Scene, generate_kitchen, load_scene
+from momapos.planning import (
+    BaseUse,
+    PipelineConfig,
+    PlacementQuery,
+    PlacementResult,
+    plan_at_pose,
+    plan_base_placement,
+    with_advice,
+    with_max_opening,
+)
+from momapos.planning.grasps import make_task, slides
+from momapos.planning.reachability import load_reach_map
 from placement import machine
 from rows import keep_rows
 

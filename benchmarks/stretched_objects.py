@@ -20,10 +20,10 @@ import numpy as np
 
 from momapos.apps.bench.articulated import parts, set_of
 from momapos.apps.synthetic_scans.surfaces import Paint, patches, urdf_paints
-from momapos.core.geometry.transforms import apply, pose
-from momapos.model.scene.formats.urdf_writer import urdf_text
-from momapos.model.scene.scene_object import SceneObject
-from momapos.model.urdf.urdf_records import Geometry, Link
+from momapos.core.geometry import apply, pose
+from momapos.model.scene import SceneObject
+from momapos.model.scene.formats import urdf_text
+from momapos.model.urdf import Geometry, Link
 from objects import objects, room
 
 _FRONT = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

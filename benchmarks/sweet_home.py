@@ -27,9 +27,9 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.core.geometry.transforms import pose
-from momapos.model.scene.formats.urdf_writer import urdf_text
-from momapos.model.urdf.urdf_records import Geometry, Joint, JointKind, Link, Urdf
+from momapos.core.geometry import pose
+from momapos.model.scene.formats import urdf_text
+from momapos.model.urdf import Geometry, Joint, JointKind, Link, Urdf
 
 KINDS = frozenset(
     (

@@ -17,15 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.core.stopwatch import Stopwatch
-from momapos.model.robots.robot import load_robot
-from momapos.planning.base_pose_check import BasePoseChecks
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.query import PlacementQuery
-from momapos.planning.reachability.map_store import load_reach_map
+from momapos.core import Stopwatch, default_cache_dir
+from momapos.model.robots import load_robot
+from momapos.planning import BasePoseChecks, PipelineConfig, PlacementQuery, plan_base_placement
+from momapos.planning.grasps import make_task
+from momapos.planning.reachability import load_reach_map
 from momapos.planning.robust import unit_offsets
 from placement import ROBOTS, machine, openings, scene_of
 from rows import keep_rows

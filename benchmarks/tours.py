@@ -17,16 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from momapos.core.cache import default_cache_dir
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement, plan_tour
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.tour import Request, Tour
-from momapos.verification.exact_check import PlanVerifier
+from momapos.core import default_cache_dir
+from momapos.model.robots import load_robot
+from momapos.model.scene import Scene, load_scene
+from momapos.planning import PipelineConfig, Request, Tour, plan_base_placement, plan_tour
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.reachability import load_reach_map
+from momapos.verification import PlanVerifier
 from placement import ROBOTS, machine
 from rows import keep_rows
 

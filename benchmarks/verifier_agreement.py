@@ -28,20 +28,14 @@ from typing import Any
 import numpy as np
 
 from momapos.apps.bench.articulated import SETS, set_of
-from momapos.core.cache import USER_CACHE, default_cache_dir
-from momapos.core.errors import MomaposError
-from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.model_copies import copied
-from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_names import builtin_names
-from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.task_requests import make_task, openable
-from momapos.planning.keyword_forms import plan_base_placement
-from momapos.planning.reachability.map_store import load_reach_map
-from momapos.planning.reachability.reach_map import ReachMap
-from momapos.verification.plan_check import find_file, read_scene
+from momapos.core import USER_CACHE, MomaposError, default_cache_dir
+from momapos.model.plan_files import write_plan
+from momapos.model.robots import Robot, load_robot
+from momapos.model.scene import Scene, builtin_names, copied, load_scene, save_scene
+from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.reachability import ReachMap, load_reach_map
+from momapos.verification import find_file, read_scene
 from mutations import REFUSED, corrupted, loaded, ours, theirs
 from objects import tasks
 from placement import ROBOTS, SCENES, machine, scene_of, shared

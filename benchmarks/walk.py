@@ -15,9 +15,8 @@ import sys
 import time
 from pathlib import Path
 
-from momapos.apps.synthetic_scans.depth_sensor import DepthSensor
-from momapos.apps.synthetic_scans.recording import synthetic_scan, write_scan
-from momapos.model.scene.scene_files import load_scene
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.model.scene import load_scene
 
 
 def scanned(walk: Path, out: Path) -> tuple[float, float, float]:
