@@ -16,56 +16,33 @@ a failure, and writes it as JSON.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import platform
 import time
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from momapos.core import MomaposError, default_cache_dir
-from momapos.model.robots import Robot, load_robot
-from momapos.model.scene import Scene, load_scene
-from momapos.planning import PipelineConfig, plan_base_placement
+from momapos.core import MomaposError
+from momapos.model.records import PlacementPlan
+from momapos.model.scene import Scene
+from momapos.planning import plan_base_placement
 from momapos.planning.grasps import make_task, openable
 from momapos.planning.navigation import DriveConfig
-from momapos.planning.reachability import load_reach_map
 from momapos.simulation import ExecutionConfig, FurnitureConfig
 from momapos.simulation.config import ModelErrorConfig
 from momapos.workflows import NO_NOISE, run_plan
-from placement import shared
-from rows import keep_rows
+from placement import CONFIG, ROBOTS, SCENES, arm, machine, scene_of, shared
+from rows import commands, emit, keep_rows
 
-REAL = (
-    "Asset/Scene/Scene/Kitchen.json",
-    "Asset/Scene/Scene/Kitchen_1.json",
-    "Asset/Scene/Scene/b512.json",
-    "derived/kitchen_v2.json",
-    "derived/MoMa_Kitchen.json",
-)
-BUILT_IN = ("kitchen_small", "kitchen_island")
-ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
+Verb = Literal["open", "close", "pick", "place"]
 RIGID = ("pick", "place")
+BUILT_IN = ("kitchen_small", "kitchen_island")
 MAX_EDGE = 0.4
 """Longer objects, such as counters and walls, are not picked [m]."""
 SPREAD = 0.3
 ERRORS = ModelErrorConfig(handle=0.01, axis=0.03, tilt=float(np.radians(5.0)), resistance=0.5)
-
-
-def scenes(rooms: str) -> list[Scene]:
-    """Return the built-in kitchens and, with `all`, the real ones if they are available."""
-    if rooms == "built-in":
-        return [load_scene(name) for name in BUILT_IN]
-    root = shared() / "bestman"
-    if not root.is_dir():
-        print(f"{root} does not exist (MOMAPOS_SHARED names its parent): built-in kitchens only")
-    real = [load_scene(root / name) for name in REAL] if root.is_dir() else []
-    return [*(load_scene(name) for name in BUILT_IN), *real]
 
 
 def movable_objects(scene: Scene) -> list[tuple[str, None]]:
@@ -77,86 +54,65 @@ def movable_objects(scene: Scene) -> list[tuple[str, None]]:
     ]
 
 
-def chosen(
-    verb: str, robots: tuple[str, ...], most: int | None, seed: int, where: str
-) -> list[tuple[Robot, Scene, str, str | None]]:
-    """Return the tasks of all robots in random order, so that a subset is a fair sample."""
-    rooms = scenes(where)
-    every = [
-        (robot, scene, item, joint)
-        for robot in map(load_robot, robots)
-        for scene in rooms
-        for item, joint in (movable_objects(scene) if verb in RIGID else openable(scene))
-    ]
-    order = np.random.default_rng(seed).permutation(len(every))
-    return [every[i] for i in order[:most]]
-
-
 def measure(
-    robot: Robot, scene: Scene, item: str, joint: str | None, args: argparse.Namespace
-) -> list[dict[str, object]]:
-    """Plan once and execute twice, or once if the base starts at the base pose."""
-    what = item if joint is None else f"{item}/{joint}"
-    base = {"robot": robot.name, "scene": scene.name, "task": what, "hold": args.hold}
-    errors = ERRORS if args.errors else ModelErrorConfig()
-    reach = load_reach_map(robot, default_cache_dir(), None)
-    rows: list[dict[str, object]] = []
+    row: dict[str, Any], scene: Scene, part: tuple[str, str | None], verb: Verb,
+    noises: tuple[bool, ...], **run: Any,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Plan once, and execute with and without noise, or once."""
+    robot, reach = arm(row["robot"])
     try:
-        task = make_task(scene, args.verb if args.verb in RIGID else "open", item, joint)
-        if args.verb == "close":
-            assert task.to is not None
-            assert joint is not None
-            scene = scene.with_joint(item, joint, task.to)
-            task = make_task(scene, args.verb, item, joint)
-        config = PipelineConfig(timeout=120.0)
-        plan = plan_base_placement(scene, robot, task, reach, config=config).plan
+        task = make_task(scene, verb if verb in RIGID else "open", *part)
+        if verb == "close":
+            scene = scene.with_joint(task.object, str(task.joint), float(task.to or 0.0))
+            task = make_task(scene, verb, *part)
+        plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
     except MomaposError as error:
-        return [{**base, "status": "refused", "reason": str(error)}]
+        return [{**row, "status": "refused", "reason": str(error)}]
     if plan.status != "solved":
-        return [{**base, "status": plan.status, "rejections": dict(plan.candidates.rejections)}]
-    for noise in (True,) if args.there or args.noisy else (False, True):
-        furniture = FurnitureConfig(spread=SPREAD if noise else 0.0)
-        row: dict[str, object] = {**base, "status": "solved", "noise": noise}
-        try:
-            record = run_plan(
-                plan, scene, robot, reach, seed=args.seed,
-                start=np.array(plan.base_pose) if args.there else None,
-                driving=DriveConfig(noise=NO_NOISE) if args.there or not noise else DriveConfig(),
-                physics=ExecutionConfig(hold=args.hold, furniture=furniture, errors=errors),
-                clock=time.process_time,
-            )  # fmt: skip
-        except MomaposError as error:
-            rows.append({**row, "success": False, "reason": str(error)})
-            continue
+        return [{**row, "status": plan.status, "rejections": dict(plan.candidates.rejections)}]
+    there = bool(run["there"])
+    return [
+        {**row, "status": "solved", "noise": noise}
+        | executed(
+            plan, scene, seed=run["seed"], clock=time.process_time,
+            start=np.array(plan.base_pose) if there else None,
+            driving=DriveConfig(noise=NO_NOISE) if there or not noise else DriveConfig(),
+            physics=ExecutionConfig(
+                hold=row["hold"], errors=ERRORS if run["errors"] else ModelErrorConfig(),
+                furniture=FurnitureConfig(spread=SPREAD if noise else 0.0),
+            ),
+        )
+        for noise in noises
+    ]  # fmt: skip
+
+
+def executed(plan: PlacementPlan, scene: Scene, **run: Any) -> dict[str, Any]:
+    """Execute a plan; return what happened."""
+    try:
+        record = run_plan(plan, scene, *arm(plan.robot_name), **run)
+    except MomaposError as error:
+        return {"success": False, "reason": str(error)}
+    row = {
+        "success": record.success, "reason": record.reason, "seconds": dict(record.time),
+        "visits": [asdict(visit) for visit in record.visits], "tries": 1 + len(record.failed),
+        "first": [done.ending for done in record.failed],
+    }  # fmt: skip
+    if (done := record.execution) is not None:
         row |= {
-            "success": record.success, "reason": record.reason, "seconds": dict(record.time),
-            "visits": [asdict(visit) for visit in record.visits], "tries": 1 + len(record.failed),
-            "first": [done.ending for done in record.failed],
+            "simulated": done.simulated, "cpu": done.wall, "force": done.load.force,
+            "torque": done.load.torque, "slip": done.slip.position,
+            "tracking": done.tracking.worst, "effort": done.tracking.effort,
+            "yield": max(done.base_shift[:2]), "clearance": done.clearance,
+            "reached": [done.start, done.asked, done.reached], "ending": done.ending,
+            "hardest": done.collisions[0].force if done.collisions else 0.0,
+            "collisions": [[c.one, c.other, round(c.force, 1)] for c in done.collisions],
         }  # fmt: skip
-        if record.execution is not None:
-            done = record.execution
-            row |= {
-                "simulated": done.simulated,
-                "cpu": done.wall,
-                "force": done.load.force,
-                "torque": done.load.torque,
-                "slip": done.slip.position,
-                "tracking": done.tracking.worst,
-                "effort": done.tracking.effort,
-                "yield": max(done.base_shift[:2]),
-                "clearance": done.clearance,
-                "reached": [done.start, done.asked, done.reached],
-                "ending": done.ending,
-                "hardest": done.collisions[0].force if done.collisions else 0.0,
-                "collisions": [[c.one, c.other, round(c.force, 1)] for c in done.collisions],
-            }
-        rows.append(row)
-    return rows
+    return row
 
 
 def report(rows: list[dict[str, Any]]) -> str:
     """Return a summary."""
-    lines = [f"machine: {platform.machine()}, {len(os.sched_getaffinity(0))} cores"]
+    lines = [f"machine: {machine()}"]
     plans = {(r["robot"], r["scene"], r["task"]): r["status"] for r in rows}
     lines.append(f"plans: {dict(Counter(plans.values()))}")
     for noise in (False, True):
@@ -170,7 +126,8 @@ def report(rows: list[dict[str, Any]]) -> str:
             f"{sum(r['success'] and r.get('tries') == 1 for r in mine)} at the first try; "
             f"{touched} with a collision"
         )
-        lines += [f"  {n} times: {ending}" for ending, n in _endings(mine)]
+        endings = Counter(str(r.get("ending", "not executed")) for r in mine if not r["success"])
+        lines += [f"  {n} times: {ending}" for ending, n in endings.most_common()]
         lines += [f"  {_name(r)}: {r['reason']}" for r in mine if not r["success"]]
         lines += _of_drives([r for r in mine if r.get("visits")])
     touches = Counter(" with ".join(c[:2]) for r in rows for c in r.get("collisions", ()))
@@ -190,12 +147,6 @@ def report(rows: list[dict[str, Any]]) -> str:
             values = scale * np.array([r[key] for r in done])
             lines.append(f"{key}: median {np.median(values):.2g}, worst {values.max():.2g} {unit}")
     return "\n".join(lines)
-
-
-def _endings(rows: list[dict[str, Any]]) -> list[tuple[str, int]]:
-    """Count the endings of failed runs."""
-    ended = (str(r.get("ending", "not executed")) for r in rows if not r["success"])
-    return Counter(ended).most_common()
 
 
 def _name(row: dict[str, Any]) -> str:
@@ -223,29 +174,50 @@ def _of_drives(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--tasks", type=int, help="number of openings, drawn at random")
-    parser.add_argument("--verb", choices=("open", "close", *RIGID), default="open")
-    parser.add_argument("--rooms", choices=("all", "built-in"), default="all")
-    parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
-    parser.add_argument("--errors", action="store_true", help="simulate with modeling errors")
-    parser.add_argument("--there", action="store_true", help="start at the base poses")
-    parser.add_argument("--noisy", action="store_true", help="with noise only")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, help="folder for execution.json")
-    args = parser.parse_args()
+def main(
+    robots: tuple[str, ...] = ROBOTS, tasks: int | None = None, verb: Verb = "open",
+    rooms: Literal["all", "built-in"] = "all", hold: Literal["contact", "weld"] = "contact",
+    errors: bool = False, there: bool = False, noisy: bool = False, seed: int = 0,
+    out: Path | None = None,
+) -> None:  # fmt: skip
+    """Execute plans.
+
+    Args:
+        robots: Robots of the library.
+        tasks: Number of tasks, drawn at random.
+        verb: The task.
+        rooms: All kitchens, or the built-in ones.
+        hold: How the hand holds the part.
+        errors: Simulate with modeling errors.
+        there: Start at the base poses.
+        noisy: With noise only.
+        seed: Seed of the drawn tasks and of the noise.
+        out: Folder for execution.json.
+    """
+    scenes = [scene_of(name) for name in BUILT_IN]
+    if rooms == "all" and not (shared() / "bestman").is_dir():
+        print(f"{shared() / 'bestman'} does not exist: built-in kitchens only")
+    elif rooms == "all":
+        scenes += map(scene_of, SCENES)
+    every = [
+        (robot, scene, part)
+        for robot in robots
+        for scene in scenes
+        for part in (movable_objects(scene) if verb in RIGID else openable(scene))
+    ]
     rows = []
-    robots = tuple(args.robots)
-    for chosen_task in chosen(args.verb, robots, args.tasks, args.seed, args.rooms):
-        for row in measure(*chosen_task, args):
-            rows.append(row)
-            print(json.dumps(row), flush=True)
+    for k in np.random.default_rng(seed).permutation(len(every))[:tasks]:
+        robot, scene, part = every[k]
+        row = {"robot": robot, "scene": scene.name, "hold": hold}
+        row["task"] = "/".join(filter(None, part))
+        noises = (True,) if there or noisy else (False, True)
+        run = {"seed": seed, "there": there, "errors": errors}
+        for done in measure(row, scene, part, verb, noises, **run):
+            rows.append(done)
+            emit(done)
     print(report(rows))
-    keep_rows(rows, args.out, "execution")
+    keep_rows(rows, out, "execution")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

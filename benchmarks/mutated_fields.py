@@ -18,9 +18,9 @@ holds words, statistics or the question, which change nothing physical: such a m
 
 from __future__ import annotations
 
-import argparse
 import copy
 import functools
+import itertools
 import json
 import operator
 import sys
@@ -33,6 +33,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import tyro
 
 from momapos.apps.cli.loading import open_plan
 from momapos.apps.cli.main import main as momapos
@@ -45,7 +46,7 @@ from momapos.simulation import run_exactly
 from momapos.verification import find_file, plan_check, plan_claims, read_scene
 from mutations import ACCEPTED, REFUSED, amount, loaded, ours, recompute_tool_poses, theirs
 from placement import machine
-from rows import keep_rows
+from rows import commands, emit, keep_rows, markdown
 
 SOURCES = (
     "open kitchen_small fridge/door_hinge --robot segway_ur5e",
@@ -341,7 +342,7 @@ def judge(
             if ran[original] == ACCEPTED:
                 row["physics"], row["reason"] = physics(file)
         if REFUSED in (row["theirs"], row["physics"]):
-            print(json.dumps(row), flush=True)
+            emit(row)
     print(f"originals by geometry: {_named(whole)}; in physics: {_named(ran)}")
 
 
@@ -351,57 +352,51 @@ def _named(verdicts: dict[Path, str]) -> dict[str, str]:
 
 def report(rows: list[dict[str, Any]]) -> str:
     """Return a table by field."""
-    lines = [f"machine: {machine()}", f"{len(rows)} mutated plans"]
-    lines += ["| field | plans | rejected | then by geometry | then by physics |"]
-    lines += ["|---|---|---|---|---|"]
+    lines = []
     for name in [*PHYSICAL, "descriptive", "all"]:
-        mine = [
-            row for row in rows
-            if name in ("all", row["field"])
-            or (name == "descriptive" and row["field"] in DESCRIPTIVE)
-        ]  # fmt: skip
-        if not mine:
-            continue
+        own = DESCRIPTIVE if name == "descriptive" else (name,)
+        mine = [row for row in rows if name == "all" or row["field"] in own]
         accepted = [row for row in mine if row["ours"] == ACCEPTED]
-        seen = [row for row in accepted if row["theirs"]]
-        geometry = sum(row["theirs"] == REFUSED for row in seen)
-        run = [row for row in accepted if row["physics"]]
-        failed = sum(row["physics"] == REFUSED for row in run)
-        lines.append(
-            f"| {name} | {len(mine)} | {len(mine) - len(accepted)} | {geometry} of {len(seen)} "
-            f"| {failed} of {len(run)} |"
-        )
-    return "\n".join(lines)
+        later = []
+        for judge_ in ("theirs", "physics"):
+            seen = [row[judge_] == REFUSED for row in accepted if row[judge_]]
+            later.append(f"{sum(seen)} of {len(seen)}")
+        if mine:
+            lines.append((name, len(mine), len(mine) - len(accepted), *later))
+    head = ("field", "plans", "rejected", "then by geometry", "then by physics")
+    return f"machine: {machine()}\n{len(rows)} mutated plans\n{markdown(head, lines)}"
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("plans", nargs="*", type=Path)
-    parser.add_argument("--count", type=int, default=3000)
-    parser.add_argument("--judged", type=int, default=300, help="accepted plans for the program")
-    parser.add_argument("--runs", type=int, default=60, help="of these, plans to run in physics")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--verifier", type=Path, help="independent check of plan files")
-    parser.add_argument("--out", type=Path, help="folder for mutated_fields.json")
-    args = parser.parse_args()
+def main(
+    plans: tyro.conf.Positional[tuple[Path, ...]] = (), count: int = 3000, judged: int = 300,
+    runs: int = 60, seed: int = 0, verifier: Path | None = None, out: Path | None = None,
+) -> None:  # fmt: skip
+    """Mutate plans, let all judge, and print a table by field.
+
+    Args:
+        plans: Plan files; by default those of `SOURCES`.
+        count: Number of mutations.
+        judged: Number of accepted ones for the independent program.
+        runs: Number of these to run in physics.
+        seed: Seed of the mutations.
+        verifier: Independent check of plan files.
+        out: Folder for mutated_fields.json.
+    """
     # The files that the plans name stay the same; reading them takes most of the time.
     for module, name in (
         (plan_check, "read_scene"), (plan_check, "read_urdf"), (plan_claims, "load_robot"),
     ):  # fmt: skip
         setattr(module, name, functools.cache(getattr(module, name)))
-    rng = np.random.default_rng(args.seed)
-    other = None if args.verifier is None else loaded(args.verifier)
-    every = [*PHYSICAL, *DESCRIPTIVE]
+    rng = np.random.default_rng(seed)
+    other = None if verifier is None else loaded(verifier)
     rows: list[dict[str, Any]] = []
     files: list[tuple[Path, Path]] = []
-    order = [*PHYSICAL, *PHYSICAL, *every]  # physical fields three times as often
+    # Physical fields come three times as often.
+    order = itertools.cycle([*PHYSICAL, *PHYSICAL, *PHYSICAL, *DESCRIPTIVE])
     with tempfile.TemporaryDirectory() as name:
-        made = list(sources(Path(name), args.plans))
-        turn = 0
-        while len(rows) < args.count:
-            field, source = order[turn % len(order)], made[int(rng.integers(len(made)))]
-            turn += 1
+        made = list(sources(Path(name), list(plans)))
+        while len(rows) < count:
+            field, source = next(order), made[int(rng.integers(len(made)))]
             changed = mutate(source, field, rng)
             if changed is None:
                 continue
@@ -412,23 +407,22 @@ def main() -> None:
             file = source.file.with_name(f"mutated_{len(rows)}.json")
             file.write_text(json.dumps(changed))
             verdict, why = ours(file)
-            row = {
+            rows.append({
                 "field": field, "plan": source.file.stem, "ours": verdict, "why": why,
                 "theirs": "", "their_why": "", "physics": "", "reason": "",
-            }  # fmt: skip
-            rows.append(row)
+            })  # fmt: skip
             files.append((file, source.file))
             if verdict != ACCEPTED:
                 file.unlink()
         try:
-            judge(rows, files, drawn(rows, args.judged, rng), args.runs, other)
+            judge(rows, files, drawn(rows, judged, rng), runs, other)
         finally:
             for file, _ in files:
                 file.unlink(missing_ok=True)
     print(report(rows))
     print(f"fields: {dict(Counter(row['field'] for row in rows))}")
-    keep_rows(rows, args.out, "mutated_fields")
+    keep_rows(rows, out, "mutated_fields")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -1,14 +1,11 @@
-"""Check that `momapos verify` rejects all corrupted plans that an independent checker rejects.
+"""Compare the verdicts of `momapos verify` and of an independent program on whole and broken plans.
 
-    python benchmarks/mutations.py [--count 500] [--plans 25] [--set development|test] [--kitchens]
-                                   [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
+    python benchmarks/mutations.py corrupted [--count 500] [--plans 25] [--set development|test]
+        [--robots fetch ...] [--verifier verify_plan.py] [--out DIR]
+    python benchmarks/mutations.py agreement VERIFIER [--plans 200] [--robots fetch ...] [--seed 0]
+        [--sources cases kitchens objects] [--out DIR]
 
-Plans of the objects of `objects.py`, or of the built-in kitchens, in which the hand turns about a
-bar or regrasps, are corrupted in random ways and by random amounts. The files are checked with
-`momapos verify` and with an independent program, which --verifier names. A corrupted plan that only
-the other program rejects is a miss. Plans that both accept were changed by less than the
-tolerances. Tool poses are recomputed after a change of arm states, so that the states themselves
-are checked.
+Tool poses are recomputed after a change of arm states, so that the states themselves are checked.
 """
 
 from __future__ import annotations
@@ -20,27 +17,29 @@ import json
 import operator
 import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from momapos.apps.bench.articulated import SETS
-from momapos.core import MomaposError, default_cache_dir
+from momapos.apps.bench.articulated import SETS, set_of
+from momapos.core import USER_CACHE, MomaposError
 from momapos.core.geometry import pose_planar
 from momapos.model.plan_files import write_plan
-from momapos.model.robots import Robot, load_robot
-from momapos.model.scene import Scene, builtin_names, copied, load_scene, save_scene
+from momapos.model.robots import Robot
+from momapos.model.scene import Scene, builtin_names, load_scene
 from momapos.planning import plan_base_placement
 from momapos.planning.grasps import make_task, openable
-from momapos.planning.reachability import load_reach_map
-from momapos.verification import verify_files
-from objects import CONFIG, tasks
-from placement import ROBOTS, machine
-from rows import keep_rows
+from momapos.verification import find_file, read_scene, verify_files
+from objects import CONFIG, Subset, object_tasks, saved
+from placement import ROBOTS, SCENES, arm, machine, scene_of, shared
+from rows import commands, emit, keep_rows, markdown
 
 Corruption = Callable[[dict[str, Any], np.random.Generator], bool]
 """Changes the content of a plan file; returns False if it does not apply to the plan."""
@@ -264,31 +263,16 @@ def another_goal(plan: dict[str, Any], rng: np.random.Generator) -> bool:
     return True
 
 
-def openings(args: argparse.Namespace) -> Iterator[tuple[str, Scene, str, str]]:
-    """Yield robot, room, object and joint of each opening."""
-    if not args.kitchens:
-        for name, _, scene, joint in tasks(args.set, args.robots):
-            yield name, scene, "object", joint
-        return
-    scenes = [load_scene(name) for name in builtin_names()]
-    for name in args.robots:
-        for scene in scenes:
-            for item, joint in openable(scene):
-                yield name, scene, item, joint
-
-
-def plans(args: argparse.Namespace, folder: Path) -> Iterator[tuple[Path, Robot]]:
-    """Yield plan files of openings in which the hand turns or regrasps."""
-    robots = {name: load_robot(name) for name in args.robots}
+def corrupted_plans(
+    robots: tuple[str, ...], subset: str | None, count: int, folder: Path
+) -> Iterator[tuple[Path, Robot]]:
+    """Yield plan files of openings of objects in which the hand turns or regrasps."""
     found = 0
-    for k, (name, scene, item, joint) in enumerate(openings(args)):
-        robot = robots[name]
-        reach = load_reach_map(robot, default_cache_dir(), None)
-        file = folder / f"scene_{k}.json"
+    for k, (name, _, scene, joint) in enumerate(object_tasks(subset, robots)):
+        robot, reach = arm(name)
         try:
-            with copied(scene, file) as near:
-                written = save_scene(near, file)
-            task = make_task(written, "open", item, joint)
+            written = saved(scene, folder)
+            task = make_task(written, "open", "object", joint)
             plan = plan_base_placement(written, robot, task, reach, config=CONFIG).plan
         except MomaposError as error:
             print(f"{name}, {scene.name}/{joint}: {error}", file=sys.stderr)
@@ -296,11 +280,10 @@ def plans(args: argparse.Namespace, folder: Path) -> Iterator[tuple[Path, Robot]
         holds = () if plan.motion is None else plan.motion.holds
         if len(holds) < 2 and all(hold.turn_axis is None for hold in holds):
             continue
-        out = folder / f"plan_{k}.json"
-        write_plan(plan, out)
-        yield out, robot
+        write_plan(plan, folder / f"plan_{k}.json")
+        yield folder / f"plan_{k}.json", robot
         found += 1
-        if found == args.plans:
+        if found == count:
             return
 
 
@@ -335,7 +318,7 @@ def theirs(module: ModuleType, file: Path, root: Path = Path("/")) -> tuple[str,
     return (REFUSED, f"{bad[0]['check']}: {bad[0]['detail']}") if bad else (ACCEPTED, "")
 
 
-def corrupted(
+def broken(
     content: dict[str, Any],
     robot: Robot,
     rng: np.random.Generator,
@@ -363,52 +346,241 @@ def corrupted(
     raise ValueError(f"none of {', '.join(kinds or ())} applies to the plan")
 
 
-def report(rows: list[dict[str, Any]]) -> str:
-    """Return a table by corruption."""
-    lines = [f"machine: {machine()}", f"{len(rows)} corrupted plans"]
-    lines += ["| corruption | plans | rejected | by the other | missed |", "|---|---|---|---|---|"]
-    for name in [*sorted(CORRUPTIONS), "all"]:
-        mine = [row for row in rows if name in ("all", row["spoil"])]
-        refused = sum(row["ours"] == REFUSED for row in mine)
-        other = Counter(row["theirs"] for row in mine)[REFUSED]
-        missed = sum(row["theirs"] == REFUSED and row["ours"] == ACCEPTED for row in mine)
-        lines.append(f"| {name.replace('_', ' ')} | {len(mine)} | {refused} | {other} | {missed} |")
-    return "\n".join(lines)
+def corrupted(
+    robots: tuple[str, ...] = ROBOTS, subset: Subset = None, plans: int = 25, count: int = 500,
+    verifier: Path | None = None, seed: int = 0, out: Path | None = None,
+) -> None:  # fmt: skip
+    """Check that `momapos verify` rejects all corrupted plans that an independent checker rejects.
 
+    Plans of the objects of objects.py in which the hand turns about a bar or regrasps are corrupted
+    in random ways and by random amounts. A corrupted plan that only the other program rejects is a
+    miss. Plans that both accept were changed by less than the tolerances.
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=500, help="number of corrupted plans")
-    parser.add_argument("--plans", type=int, default=25, help="number of plans to corrupt")
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--set", choices=SETS, help="only the objects of one set")
-    parser.add_argument("--kitchens", action="store_true", help="the built-in kitchens")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--verifier", type=Path, help="independent check of plan files")
-    parser.add_argument("--out", type=Path, help="folder for mutations.json")
-    args = parser.parse_args()
-    rng = np.random.default_rng(args.seed)
-    other = None if args.verifier is None else loaded(args.verifier)
-    rows = []
+    Args:
+        robots: Robots of the library.
+        subset: Only the objects of one set.
+        plans: Number of plans to corrupt.
+        count: Number of corrupted plans.
+        verifier: Independent check of plan files.
+        seed: Seed of the corruptions.
+        out: Folder for mutations.json.
+    """
+    rng, rows = np.random.default_rng(seed), list[dict[str, Any]]()
+    other = None if verifier is None else loaded(verifier)
     with tempfile.TemporaryDirectory() as name:
-        sources = list(plans(args, Path(name)))
+        sources = list(corrupted_plans(robots, subset, plans, Path(name)))
         if not sources:
             sys.exit("no plan turns or regrasps; use more --robots")
-        for k in range(args.count):
+        for k in range(count):
             source, robot = sources[k % len(sources)]
-            kind, content = corrupted(json.loads(source.read_text()), robot, rng)
+            kind, content = broken(json.loads(source.read_text()), robot, rng)
             file = source.with_name("corrupted.json")
             file.write_text(json.dumps(content))
-            verdict, why = ours(file)
-            their_verdict, reason = ("", "") if other is None else theirs(other, file)
-            row = {"spoil": kind, "plan": source.stem, "ours": verdict, "why": why}
-            rows.append({**row, "theirs": their_verdict, "their_why": reason})
-            if their_verdict == REFUSED and verdict == ACCEPTED:
-                print(json.dumps(rows[-1]), flush=True)
-    print(report(rows))
-    keep_rows(rows, args.out, "mutations")
+            mine, why = ours(file)
+            their, reason = ("", "") if other is None else theirs(other, file)
+            rows.append({"spoil": kind, "plan": source.stem, "ours": mine, "why": why,
+                         "theirs": their, "their_why": reason})  # fmt: skip
+            if their == REFUSED and mine == ACCEPTED:
+                emit(rows[-1])
+    lines = []
+    for name in [*sorted(CORRUPTIONS), "all"]:
+        some = [row for row in rows if name in ("all", row["spoil"])]
+        by_us, by_them = (sum(row[key] == REFUSED for row in some) for key in ("ours", "theirs"))
+        missed = sum(row["theirs"] == REFUSED and row["ours"] == ACCEPTED for row in some)
+        lines.append((name.replace("_", " "), len(some), by_us, by_them, missed))
+    head = ("corruption", "plans", "rejected", "by the other", "missed")
+    print(f"machine: {machine()}\n{len(rows)} corrupted plans\n{markdown(head, lines)}")
+    keep_rows(rows, out, "mutations")
+
+
+BROKEN = ("base_moved", "one_state_off", "states_left_out", "door_lags_behind")
+"""How valid plans are broken, in turn; see `mutations.py`."""
+WHOLE = "as planned"
+SOURCES: tuple[Literal["cases", "kitchens", "objects"], ...] = ("cases", "kitchens", "objects")
+PICKED = {"tray_mesh": "can", "tray_box": "can"}
+"""Objects that are picked in the small inputs, by file."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One task of one robot; the scene is read or built when it is needed."""
+
+    source: str
+    robot: str
+    name: str
+    """Empty for objects of the test set, which are not to be examined."""
+    scene: Callable[[Path], Scene]
+    """Returns the scene, as it is in a file; may write the file into a folder."""
+    request: tuple[str, ...]
+    root: Path
+
+
+def small_inputs(robots: tuple[str, ...]) -> Iterator[Question]:
+    """Yield every opening of the small inputs, and what is picked there."""
+    folder = shared().parent / "findings" / "cases"
+    for file in sorted([*folder.glob("furniture/*.json"), *folder.glob("rooms/**/*.json")]):
+        try:
+            scene = load_scene(file)
+        except MomaposError as error:
+            print(f"{file.stem}: {error}", file=sys.stderr)
+            continue
+        found: list[tuple[str, ...]] = [("open", *pair) for pair in openable(scene)]
+        found += [("pick", item) for name, item in PICKED.items() if name == file.stem]
+        for robot in robots:
+            for request in found:
+                yield Question(
+                    "cases", robot, file.stem, partial(unchanged, scene), request, Path("/")
+                )
+
+
+def others(
+    robots: tuple[str, ...], sources: tuple[str, ...], rng: np.random.Generator
+) -> list[Question]:
+    """Return openings of kitchens and objects, in random order, both kinds in turn."""
+    kinds: list[list[Question]] = []
+    if "kitchens" in sources:
+        root = shared() / "bestman"
+        scenes = {Path(name).stem: scene_of(name) for name in (*builtin_names(), *SCENES)}
+        kinds.append([
+            Question("kitchens", robot, name, partial(unchanged, scene), ("open", *pair), root)
+            for name, scene in scenes.items()
+            for pair in openable(scene)
+            for robot in robots
+        ])  # fmt: skip
+    if "objects" in sources:
+        kinds.append([
+            Question(
+                "objects", robot, name if set_of(name) == SETS[0] else "",
+                partial(saved, scene), ("open", "object", joint), Path("/"),
+            )
+            for robot, name, scene, joint in object_tasks(None, robots)
+        ])  # fmt: skip
+    shuffled = [[one[i] for i in rng.permutation(len(one))] for one in kinds]
+    most = max(map(len, shuffled), default=0)
+    return [one[i] for i in range(most) for one in shuffled if i < len(one)]
+
+
+def unchanged(scene: Scene, _folder: Path) -> Scene:
+    """Return a scene that was read from a file."""
+    return scene
+
+
+def planned(question: Question, folder: Path, seed: int) -> Path | None:
+    """Return the file of a plan; None if there is none."""
+    robot, reach = arm(question.robot)
+    try:
+        scene = question.scene(folder)
+        task, clock = make_task(scene, *question.request), time.process_time
+        plan = plan_base_placement(
+            scene, robot, task, reach, config=CONFIG, seed=seed, clock=clock
+        ).plan
+    except MomaposError as error:
+        if question.name:
+            print(f"{question.name} {' '.join(question.request)}: {error}", file=sys.stderr)
+        return None
+    if plan.status != "solved":
+        return None
+    write_plan(plan, folder / "plan.json")
+    return folder / "plan.json"
+
+
+def compared(question: Question, kind: str, file: Path, other: Any) -> dict[str, Any]:
+    """Return both verdicts on a plan file as a row; print a disagreement."""
+    mine, why = ours(file, question.root)
+    their, their_why = theirs(other, file, question.root)
+    cause = "" if mine == their else cause_of(why, their_why, file, question.root)
+    row = {
+        "source": question.source, "robot": question.robot, "scene": question.name,
+        "request": question.request, "kind": kind, "ours": mine, "why": why, "theirs": their,
+        "their_why": their_why, "cause": cause,
+    }  # fmt: skip
+    if not question.name:
+        row |= {"request": (), "why": "", "their_why": ""}
+    if cause:
+        emit(row)
+    return row
+
+
+def cause_of(why: str, their_why: str, file: Path, root: Path) -> str:
+    """Return the known difference that a disagreement comes from, or that it is unknown.
+
+    Args:
+        why: Our first reason; empty if we accept the plan.
+        their_why: The first reason of the other program.
+        file: The plan.
+        root: Folder of the scene's models.
+    """
+    if why.startswith("base path"):
+        return "the drive, which the other program does not check"
+    if why == "grasp slips: rotation in the moved part":
+        return "the axis about which the hand may turn, which is any for the other program"
+    name = json.loads(file.read_text())["scene"]
+    scene = read_scene(find_file("scene", name, [file.parent, root], file), root, USER_CACHE)
+    for item in scene.objects:
+        for link, elements in item.model.static_elements.items():
+            if f" in {item.name}/{link} by" in their_why:
+                if any(len(element.hulls) > 1 for element in elements):
+                    return "pieces of a hollow mesh, a hull for the other program"
+                return "another shape of the same link"
+    return "unknown"
+
+
+def agreement(
+    verifier: Path, plans: int = 200, robots: tuple[str, ...] = ROBOTS,
+    sources: tuple[Literal["cases", "kitchens", "objects"], ...] = SOURCES, seed: int = 0,
+    out: Path | None = None,
+) -> None:  # fmt: skip
+    """Compare both verdicts on plans of three sources, whole and broken in one way each.
+
+    The first plans open everything in the small inputs of other people (furniture and rooms); the
+    others open doors and drawers of the built-in kitchens, of the kitchens of placement.py and of
+    the rooms of objects.py, drawn at random. Each valid plan is also broken in one way in turn: the
+    base moved, a joint value changed, states left out, the part moved without the hand.
+    Disagreements are printed, those on objects of the `test` set without their names.
+
+    Args:
+        verifier: Independent check of plan files.
+        plans: Number of other plans.
+        robots: Robots of the library.
+        sources: Where the plans come from.
+        seed: Seed of the drawn plans, and of the search.
+        out: Folder for agreement.json.
+    """
+    rng, other, rows = np.random.default_rng(seed), loaded(verifier), list[dict[str, Any]]()
+    cases = list(small_inputs(robots[:1])) if "cases" in sources else []
+    for question in (*cases, *others(robots, sources, rng)):
+        if question.source != "cases" and not plans:
+            break
+        with tempfile.TemporaryDirectory() as name:
+            file = planned(question, Path(name), seed)
+            if file is None:
+                continue
+            plans -= question.source != "cases"
+            rows.append(compared(question, WHOLE, file, other))
+            keep_rows(rows, out, "agreement")
+            if rows[-1]["ours"] == REFUSED:
+                continue
+            content = json.loads(file.read_text())
+            kinds = BROKEN if "holds" in content["manipulation"] else BROKEN[:2]
+            kind = kinds[len(rows) // 2 % len(kinds)]
+            kind, content = broken(content, arm(question.robot)[0], rng, (kind, kinds[0]))
+            file.write_text(json.dumps(content))
+            rows.append(compared(question, kind, file, other))
+    lines = []
+    for source, kind in dict.fromkeys((row["source"], row["kind"]) for row in rows):
+        some = [row for row in rows if (row["source"], row["kind"]) == (source, kind)]
+        counts = Counter((row["ours"] == REFUSED, row["theirs"] == REFUSED) for row in some)
+        pairs = ((False, False), (True, True), (False, True), (True, False))
+        lines.append((source, kind.replace("_", " "), len(some), *(counts[one] for one in pairs)))
+    head = ("plans", "kind", "compared", "both valid", "both invalid", "only ours valid",
+            "only theirs valid")  # fmt: skip
+    print(f"machine: {machine()}", markdown(head, lines), "", sep="\n")
+    whole = Counter(row["cause"] for row in rows if row["kind"] == WHOLE)
+    every = Counter(row["cause"] for row in rows if row["cause"])
+    found = [(cause, whole[cause], n - whole[cause]) for cause, n in every.items()]
+    print(markdown(("disagreement comes from", "whole plans", "broken plans"), found))
+    keep_rows(rows, out, "agreement")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, corrupted, agreement)

@@ -27,7 +27,7 @@ from momapos.model.scene import Scene, SceneObject
 from momapos.perception import default_tools
 from momapos.perception.recordings import read_scan
 from momapos.workflows import scan_to_scene
-from object_kitchens import Place, kitchen
+from scan_objects import Place, kitchen
 
 OBJECTS = 10
 """Objects in a room [-]."""

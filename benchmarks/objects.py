@@ -19,36 +19,34 @@ feasible; infeasible ones are printed with their maximum opening.
 
 from __future__ import annotations
 
-import argparse
-import json
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
 from execution import ERRORS, SPREAD
 from momapos.apps.bench.articulated import SETS, USUAL, Usual, lone_room, parts, set_of
-from momapos.core import MomaposError, default_cache_dir
+from momapos.core import MomaposError
 from momapos.model.plan_files import write_plan
 from momapos.model.records import PlacementPlan
-from momapos.model.robots import Robot, load_robot
 from momapos.model.scene import Scene, SceneObject, copied, save_scene
 from momapos.model.urdf import Articulated, read_urdf
 from momapos.planning import PipelineConfig, plan_base_placement, with_max_opening
 from momapos.planning.grasps import GraspConfig, make_task, slides
 from momapos.planning.grasps.handles import has_handle
-from momapos.planning.reachability import load_reach_map
 from momapos.simulation import ExecutionConfig, FurnitureConfig
 from momapos.simulation.config import ModelErrorConfig
 from momapos.workflows import run_plan
-from placement import ROBOTS, machine, shared
+from placement import ROBOTS, arm, machine, shared
+from rows import commands, emit, keep_rows, milliseconds
 
 CONFIG = PipelineConfig(timeout=60.0)
 FAMILIES: dict[str, GraspConfig] = {
@@ -61,6 +59,7 @@ FAMILIES: dict[str, GraspConfig] = {
 OBVIOUS = ("beyond the arm's reach", "base in collision", "base off the floor")
 """Reasons that reject most poses of any grid; other reasons say more about a task."""
 AS_THEY_ARE = Usual(0.0, 0.0)
+Subset = Annotated[Literal["development", "test"] | None, tyro.conf.arg(name="set")]
 
 
 def objects() -> Iterator[tuple[str, Path, Usual]]:
@@ -89,7 +88,7 @@ def room(name: str, file: Path, usual: Usual) -> Scene | None:
     return lone_room(name, item, usual)
 
 
-def tasks(subset: str | None, robots: list[str]) -> list[tuple[str, str, Scene, str]]:
+def object_tasks(subset: str | None, robots: Sequence[str]) -> list[tuple[str, str, Scene, str]]:
     """Return robot, object name, room and joint of every opening, in random order."""
     found = []
     for name, file, usual in objects():
@@ -100,21 +99,23 @@ def tasks(subset: str | None, robots: list[str]) -> list[tuple[str, str, Scene, 
     return [found[i] for i in np.random.default_rng(0).permutation(len(found))]
 
 
+def saved(scene: Scene, folder: Path) -> Scene:
+    """Write a scene into a folder; return it as it is in the file."""
+    file = folder / f"scene_{len(list(folder.iterdir()))}.json"
+    with copied(scene, file) as near:
+        return save_scene(near, file)
+
+
 def measure(
-    robot: Robot, name: str, scene: Scene, joint: str, args: argparse.Namespace, folder: Path
-) -> dict[str, Any]:
+    row: dict[str, Any], scene: Scene, physics: ExecutionConfig, seeds: int,
+    verifier: Path | None, folder: Path,
+) -> dict[str, Any]:  # fmt: skip
     """Plan one opening, check the plan, execute it."""
-    reach = load_reach_map(robot, default_cache_dir(), None)
-    model = scene.object("object").model
-    row: dict[str, Any] = {
-        "robot": robot.name, "object": name, "joint": joint, "set": set_of(name),
-        "named": has_handle(model, joint),
-    }  # fmt: skip
+    robot, reach = arm(row["robot"])
+    row["named"] = has_handle(scene.object("object").model, row["joint"])
     try:
-        file = folder / f"{robot.name}_{len(list(folder.iterdir()))}.json"
-        with copied(scene, file) as near:
-            scene = save_scene(near, file)
-        task = make_task(scene, "open", "object", joint)
+        scene = saved(scene, folder)
+        task = make_task(scene, "open", "object", row["joint"])
         begun = time.process_time()
         plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
         row |= {"status": plan.status, "seconds": time.process_time() - begun}
@@ -122,25 +123,19 @@ def measure(
         return {**row, "status": "refused", "reason": str(error)}
     row["feasible_to"] = plan.feasible_to
     if plan.status != "solved":
-        return {**row, "reason": max(plan.candidates.rejections.items(), key=_count, default="")}
-    if args.verifier is not None:
-        row["valid"], row["violations"] = independent(plan, args.verifier, folder)
-    physics = ExecutionConfig(
-        hold=args.hold,
-        furniture=FurnitureConfig(spread=SPREAD),
-        errors=ERRORS if args.errors else ModelErrorConfig(),
-    )
-    row["runs"] = [execute(plan, scene, robot, reach, physics, s) for s in range(args.seeds)]
+        reasons = plan.candidates.rejections.items()
+        return {**row, "reason": max(reasons, key=lambda one: one[1], default="")}
+    if verifier is not None:
+        row["valid"], row["violations"] = independent(plan, verifier, folder)
+    row["runs"] = [execute(plan, scene, physics, seed) for seed in range(seeds)]
     return row
 
 
-def first_family(robot: Robot, name: str, scene: Scene, joint: str) -> dict[str, Any]:
+def first_family(row: dict[str, Any], scene: Scene) -> dict[str, Any]:
     """Return the first grasp family that opens a part, else the maximum opening."""
-    reach = load_reach_map(robot, default_cache_dir(), None)
-    task = make_task(scene, "open", "object", joint)
-    row: dict[str, Any] = {
-        "robot": robot.name, "object": name, "joint": joint, "set": set_of(name), "family": None,
-    }  # fmt: skip
+    robot, reach = arm(row["robot"])
+    task = make_task(scene, "open", "object", row["joint"])
+    row["family"] = None
     for family, grasps in FAMILIES.items():
         config = replace(CONFIG, motion=replace(CONFIG.motion, grasps=grasps))
         answer = plan_base_placement(scene, robot, task, reach, config=config)
@@ -181,10 +176,6 @@ def _opened(row: dict[str, Any], key: str) -> str:
     return f"{100 * row[key]:.0f} cm" if row["slides"] else f"{np.degrees(row[key]):.0f} deg"
 
 
-def _count(item: tuple[str, int]) -> int:
-    return item[1]
-
-
 def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool, list[str]]:
     """Check a plan with another program."""
     file = folder / "plan.json"
@@ -198,25 +189,23 @@ def independent(plan: PlacementPlan, verifier: Path, folder: Path) -> tuple[bool
 
 
 def execute(
-    plan: PlacementPlan, scene: Scene, robot: Robot, reach: Any, physics: ExecutionConfig, seed: int
+    plan: PlacementPlan, scene: Scene, physics: ExecutionConfig, seed: int
 ) -> dict[str, Any]:
     """Drive to the base pose and open the part, with noise."""
-    begun = time.process_time()
+    (robot, reach), clock = arm(plan.robot_name), time.process_time
+    begun = clock()
     try:
-        record = run_plan(
-            plan, scene, robot, reach, seed=seed, physics=physics, clock=time.process_time
-        )
+        record = run_plan(plan, scene, robot, reach, seed=seed, physics=physics, clock=clock)
     except MomaposError as error:
         return {"seed": seed, "success": False, "reason": f"error: {error}"}
-    done = record.execution
     row: dict[str, Any] = {
         "seed": seed, "success": record.success, "reason": record.reason,
-        "seconds": time.process_time() - begun,
+        "seconds": clock() - begun,
     }  # fmt: skip
-    if done is None:
-        return row
-    hardest = done.collisions[0].force if done.collisions else 0.0
-    return {**row, "hardest": hardest, "reached": [done.start, done.asked, done.reached]}
+    if (done := record.execution) is not None:
+        row["hardest"] = done.collisions[0].force if done.collisions else 0.0
+        row["reached"] = [done.start, done.asked, done.reached]
+    return row
 
 
 def report(rows: list[dict[str, Any]]) -> str:
@@ -241,44 +230,46 @@ def report(rows: list[dict[str, Any]]) -> str:
             count = sum(r["robot"] == robot for r in mine)
             good = sum(run["success"] for run in runs)
             lines.append(f"  {robot}: {len(solved)} of {count} planned; {good} of {len(runs)} runs")
-        seconds = np.array([r["seconds"] for r in mine if r["status"] == "solved"])
-        if len(seconds):
-            median, late = 1000 * np.percentile(seconds, (50, 95))
-            lines.append(f"  processor time of an answer: median {median:.0f}, 95 % {late:.0f} ms")
+        seconds = [r["seconds"] for r in mine if r["status"] == "solved"]
+        lines += [f"  processor time of an answer: {milliseconds(seconds)}"] if seconds else []
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
-    parser.add_argument("--set", choices=SETS, help="only the objects of one set")
-    parser.add_argument("--hold", choices=("contact", "weld"), default="contact")
-    parser.add_argument("--tasks", type=int, help="number of openings, drawn at random")
-    parser.add_argument("--seeds", type=int, default=3, help="number of runs per plan")
-    parser.add_argument("--errors", action="store_true", help="simulate with modeling errors")
-    parser.add_argument("--families", action="store_true", help="count by grasp family only")
-    parser.add_argument("--verifier", type=Path, help="independent check of plan files")
-    parser.add_argument("--out", type=Path, help="folder for objects.json")
-    args = parser.parse_args()
+def main(
+    robots: tuple[str, ...] = ROBOTS, subset: Subset = None, tasks: int | None = None,
+    hold: Literal["contact", "weld"] = "contact", seeds: int = 3, errors: bool = False,
+    families: bool = False, verifier: Path | None = None, out: Path | None = None,
+) -> None:  # fmt: skip
+    """Open objects.
+
+    Args:
+        robots: Robots of the library.
+        subset: Only the objects of one set.
+        tasks: Number of openings, drawn at random.
+        hold: How the hand holds the part.
+        seeds: Number of runs per plan.
+        errors: Simulate with modeling errors.
+        families: Count by grasp family only.
+        verifier: Independent check of plan files.
+        out: Folder for objects.json or families.json.
+    """
     rows = []
-    robots = {name: load_robot(name) for name in args.robots}
+    physics = ExecutionConfig(
+        hold=hold, furniture=FurnitureConfig(spread=SPREAD),
+        errors=ERRORS if errors else ModelErrorConfig(),
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        for robot, name, scene, joint in tasks(args.set, args.robots)[: args.tasks]:
-            if args.families:
-                rows.append(first_family(robots[robot], name, scene, joint))
+        for robot, name, scene, joint in object_tasks(subset, robots)[:tasks]:
+            row = {"robot": robot, "object": name, "joint": joint, "set": set_of(name)}
+            if families:
+                rows.append(first_family(row, scene))
                 continue
-            row = measure(robots[robot], name, scene, joint, args, Path(folder))
-            rows.append(row)
-            shown = row if row["set"] == SETS[0] else {**row, "runs": "", "violations": ""}
-            print(json.dumps(shown), flush=True)
-    print(family_table(rows) if args.families else report(rows))
-    if args.out is not None:
-        args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / ("families.json" if args.families else "objects.json")).write_text(
-            json.dumps(rows, indent=1) + "\n"
-        )
+            rows.append(measure(row, scene, physics, seeds, verifier, Path(folder)))
+            hidden = {} if row["set"] == SETS[0] else {"runs": "", "violations": ""}
+            emit({**rows[-1], **hidden})
+    print(family_table(rows) if families else report(rows))
+    keep_rows(rows, out, "families" if families else "objects")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -25,13 +25,13 @@ from typing import Any
 import numpy as np
 
 from gallery import browsing
-from large_page import serving
 from momapos.apps.web import playback, room_view, served
 from momapos.apps.web.page import Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.scan_view import COARSE_POINTS
 from momapos.apps.web.serve import open_server, quiet
 from momapos.core import USER_CACHE
+from page import serving
 
 LOOKS = ("nothing", "cloud", "kitchen", "hall")
 SIZES = (0.001, 0.012, 0.024, 0.05)

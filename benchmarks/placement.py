@@ -9,26 +9,25 @@ degrees solves it; also writes JSON.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from momapos.core import Cache, MomaposError, default_cache_dir
-from momapos.model.records import PoseStatus
-from momapos.model.robots import load_robot
+from momapos.core import Cache, MomaposError
+from momapos.model.records import PoseStatus, Task
+from momapos.model.robots import Robot, load_robot
 from momapos.model.scene import Scene, builtin_names, load_scene
 from momapos.planning import PipelineConfig, plan_base_placement
 from momapos.planning.grasps import make_task, openable
 from momapos.planning.placement import PlaceConfig
-from momapos.planning.reachability import load_reach_map
+from momapos.planning.reachability import load_reach
+from rows import commands, emit, keep_rows, milliseconds
 
 SCENES = (
     "Asset/Scene/Scene/Kitchen.json",
@@ -39,6 +38,8 @@ SCENES = (
 )
 CONFIG = PipelineConfig(timeout=120.0)
 ROBOTS = ("fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63")
+Opening = tuple[str, str, str, str]
+"""Robot, scene, object and joint."""
 
 
 def shared() -> Path:
@@ -52,14 +53,25 @@ def scene_of(name: str, cache: Cache | None = None) -> Scene:
     return load_scene(name if name in builtin_names() else shared() / "bestman" / name, cache=cache)
 
 
-def openings(robots: Sequence[str]) -> list[tuple[str, str, str, str]]:
-    """Return robot, scene, object and joint of every door and drawer of the kitchens."""
-    return [
+@cache
+def arm(name: str) -> tuple[Robot, Any]:
+    """Return a robot of the library, and what rates its reach."""
+    robot = load_robot(name)
+    return robot, load_reach(robot)
+
+
+def openings(robots: Sequence[str], count: int = 0) -> list[Opening]:
+    """Return every door and drawer of the kitchens, or a fixed random sample."""
+    every = [
         (robot, name, item, joint)
         for robot in robots
         for name in SCENES
         for item, joint in openable(scene_of(name))
     ]
+    if not count:
+        return every
+    drawn = np.random.default_rng(0).permutation(len(every))[:count]
+    return [every[k] for k in sorted(drawn.tolist())]
 
 
 def machine() -> str:
@@ -72,119 +84,91 @@ def machine() -> str:
     return f"{model}, {len(os.sched_getaffinity(0))} cores"
 
 
-def run(
-    robots: tuple[str, ...], scenes: tuple[str, ...], *, exhaustive: bool, only: str = ""
-) -> list[dict[str, Any]]:
-    """Answer every task with a text in its name, once to warm up and once for the time."""
-    rows = []
-    for robot_name in robots:
-        robot = load_robot(robot_name)
-        reach = load_reach_map(robot, default_cache_dir(), None)
-        for scene_name in scenes:
-            scene = scene_of(scene_name)
-            for item, joint in openable(scene):
-                if only not in f"{item}/{joint}":
-                    continue
-                row: dict[str, Any] = {
-                    "robot": robot_name,
-                    "scene": Path(scene_name).stem,
-                    "task": f"{item}/{joint}",
-                }
-                try:
-                    task = make_task(scene, "open", item, joint)
-                    plan_base_placement(
-                        scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
-                    )
-                    began, used = time.perf_counter(), time.process_time()
-                    answer = plan_base_placement(
-                        scene, robot, task, reach, config=PipelineConfig(timeout=120.0)
-                    )
-                    row |= {
-                        "status": answer.plan.status,
-                        "seconds": time.perf_counter() - began,
-                        "processor": time.process_time() - used,
-                        "cost": answer.plan.navigation_cost,
-                        "checked": answer.plan.candidates.checked,
-                        "sampled": answer.plan.candidates.sampled,
-                    }
-                    if exhaustive:
-                        row |= _ground_truth(scene, robot, task, reach)
-                except MomaposError as error:
-                    row |= {"status": "refused", "reason": str(error)}
-                rows.append(row)
-                print(json.dumps(row), flush=True)
-    return rows
-
-
-def _ground_truth(scene, robot, task, reach) -> dict[str, Any]:  # type: ignore[no-untyped-def]
+def answered(name: str, scene: Scene, task: Task, *, exhaustive: bool) -> dict[str, Any]:
+    """Answer a task, once to warm up and once for the time."""
+    robot, reach = arm(name)
+    plan_base_placement(scene, robot, task, reach, config=CONFIG)
+    began, used = time.perf_counter(), time.process_time()
+    plan = plan_base_placement(scene, robot, task, reach, config=CONFIG).plan
+    row = {
+        "status": plan.status, "seconds": time.perf_counter() - began,
+        "processor": time.process_time() - used, "cost": plan.navigation_cost,
+        "checked": plan.candidates.checked, "sampled": plan.candidates.sampled,
+    }  # fmt: skip
+    if not exhaustive:
+        return row
     config = PipelineConfig(place=PlaceConfig(method="exhaustive"), timeout=600.0)
     began = time.perf_counter()
-    answer = plan_base_placement(scene, robot, task, reach, config=replace(config))
+    answer = plan_base_placement(scene, robot, task, reach, config=config)
     counts = answer.search.counts()
     passed = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND)
-    return {
-        "grid": answer.plan.status,
-        "grid_seconds": time.perf_counter() - began,
+    return row | {
+        "grid": answer.plan.status, "grid_seconds": time.perf_counter() - began,
         "grid_cost": answer.plan.navigation_cost,
         "grid_feasible": sum(n for outcome, n in counts.items() if outcome.status in passed),
         "grid_poses": counts.total(),
-    }
+    }  # fmt: skip
 
 
 def report(rows: list[dict[str, Any]]) -> str:
     """Summarize as Markdown."""
     done = [r for r in rows if "seconds" in r]
     lines = [f"machine: {machine()}", ""]
-    used = 1000 * np.array([r["processor"] for r in done])
-    if len(done):
-        lines += [
-            f"all: {sum(r['status'] == 'solved' for r in done)} of {len(done)} solved; processor "
-            f"time (less affected by other programs): median {np.median(used):.0f} ms, 95th "
-            f"percentile {np.percentile(used, 95):.0f} ms"
-        ]
+    if done:
+        times = milliseconds([r["processor"] for r in done])
+        words = "processor time (less affected by other programs)"
+        lines.append(f"all: {_solved(done)}; {words}: {times}")
     for name in dict.fromkeys(r["robot"] for r in done):
         mine = [r for r in done if r["robot"] == name]
-        seconds = np.array([r["seconds"] for r in mine])
-        solved = np.array([r["status"] == "solved" for r in mine])
-        lines.append(
-            f"{name}: {solved.sum()} of {len(mine)} solved; median "
-            f"{1000 * np.median(seconds):.0f} ms, 95th percentile "
-            f"{1000 * np.percentile(seconds, 95):.0f} ms"
-            + (
-                f" (solved only: {1000 * np.median(seconds[solved]):.0f} and "
-                f"{1000 * np.percentile(seconds[solved], 95):.0f} ms)"
-                if solved.any()
-                else ""
-            )
-        )
-        truth = [r for r in mine if "grid" in r]
-        if truth:
-            can = [r for r in truth if r["grid"] == "solved"]
-            kept = sum(r["status"] == "solved" for r in can)
+        solved = [r["seconds"] for r in mine if r["status"] == "solved"]
+        only = f" (solved only: {milliseconds(solved)})" if solved else ""
+        times = milliseconds([r["seconds"] for r in mine])
+        lines.append(f"{name}: {_solved(mine)}; {times}{only}")
+        if truth := [r for r in mine if "grid" in r]:
+            can = [r["status"] == "solved" for r in truth if r["grid"] == "solved"]
             slow = max(r["grid_seconds"] for r in truth)
-            lines.append(f"  grid: {kept} of {len(can)} solvable are solved; slowest {slow:.1f} s")
+            lines.append(
+                f"  grid: {sum(can)} of {len(can)} solvable are solved; slowest {slow:.1f} s"
+            )
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Run and report."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", nargs="+", default=ROBOTS)
-    parser.add_argument("--scenes", nargs="+", default=SCENES)
-    parser.add_argument("--exhaustive", action="store_true")
-    parser.add_argument("--only", default="", help="only tasks with this in their name")
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
-    robots, scenes = tuple(args.robots), tuple(args.scenes)
-    rows = run(robots, scenes, exhaustive=args.exhaustive, only=args.only)
+def _solved(rows: list[dict[str, Any]]) -> str:
+    return f"{sum(r['status'] == 'solved' for r in rows)} of {len(rows)} solved"
+
+
+def main(
+    robots: tuple[str, ...] = ROBOTS, scenes: tuple[str, ...] = SCENES, exhaustive: bool = False,
+    only: str = "", out: Path | None = None,
+) -> None:  # fmt: skip
+    """Answer every task with a text in its name.
+
+    Args:
+        robots: Robots of the library.
+        scenes: Built-in kitchens, or scenes of the real data.
+        exhaustive: Search the grid, too.
+        only: Only tasks with this in their name.
+        out: Folder for placement.json.
+    """
+    rows: list[dict[str, Any]] = []
+    for robot, name in ((robot, name) for robot in robots for name in scenes):
+        scene = scene_of(name)
+        for item, joint in openable(scene):
+            if only not in f"{item}/{joint}":
+                continue
+            row = {"robot": robot, "scene": Path(name).stem, "task": f"{item}/{joint}"}
+            try:
+                task = make_task(scene, "open", item, joint)
+                row |= answered(robot, scene, task, exhaustive=exhaustive)
+            except MomaposError as error:
+                row |= {"status": "refused", "reason": str(error)}
+            rows.append(row)
+            emit(row)
     if not rows:
-        parser.error(f"no task of these scenes has {args.only!r} in its name")
+        raise SystemExit(f"no task of these scenes has {only!r} in its name")
     print(report(rows))
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps({"machine": machine(), "rows": rows}, indent=1)
-        (args.out / "placement.json").write_text(text + "\n")
+    keep_rows({"machine": machine(), "rows": rows}, out, "placement")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

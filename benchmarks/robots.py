@@ -1,20 +1,16 @@
-"""Check that `robot check` suffices to use manufacturers' robot models.
+"""Evaluate robot models: as their makers publish them, in kitchens, and their self-collisions.
 
-    python benchmarks/robots.py SITE [--get] [--set development|test] [--only NAME ...] [--table] \\
-        [--place 2] [--out FOLDER]
+    python benchmarks/robots.py check SITE [--get] [--set development|test] [--only NAME ...]
+        [--table] [--place 2] [--out FOLDER]
+    python benchmarks/robots.py openings FILE [--scenes Kitchen.json ...] [--most 2] [--run 2]
+    python benchmarks/robots.py self-collision [ROBOT ...]
 
-SITE holds the packages with the manufacturers' files; `--get` installs them there (1.2 GB). These
-files stay unchanged. A mobile manipulator must get a robot file; an arm without a base must get a
-reason and then, with `--on-box`, a robot file; other models must get a reason. `--place` sets the
-number of openings that each robot with a file plans in each of five kitchens (`robot_openings.py`),
-counted in a second table; `--table` selects the robots of that table in docs/results/robots.md.
-With `--out` the results are stored in a folder and reused. A hash of the robot's name puts it into
-one of two sets: `development` may be examined, `test` is only counted.
+A hash of a robot's name puts it into one of two sets: `development` may be examined, `test` is only
+counted.
 """
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import resource
@@ -22,15 +18,31 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tyro
 
-from placement import machine
+from inverse import found_of
+from momapos.apps.bench.articulated import SETS
+from momapos.core import USER_CACHE, MomaposError
+from momapos.model.collision import contacts, decided_by_hulls
+from momapos.model.records import PlacementPlan, PoseStatus, ReachScorer
+from momapos.model.robots import Robot, library_names, load_arms, load_robot
+from momapos.model.robots.load_limits import sample_states, touches
+from momapos.planning import plan_base_placement
+from momapos.planning.grasps import make_task, openable
+from momapos.planning.grasps.hand_boxes import empty_handed
+from momapos.planning.placement import PlaceConfig
+from momapos.planning.reachability import ReachMap, encode, evaluate, load_reach
+from momapos.workflows import run_plan
+from objects import Subset
+from placement import CONFIG, SCENES, machine, scene_of
+from rows import commands
 
-SETS = ("development", "test")
 SEEN = ("allegro_hand", "baxter", "frankie", "panda", "pr2", "tiago_no_hand", "ur10")
 """Robots that the hash puts into the test set but that were examined, or whose results led to a
 change; they count as development set."""
@@ -45,7 +57,6 @@ PACKAGES = (
     "armar", "mani-skill", "rtb-data", "airo-models",
 )  # fmt: skip
 COMMAND = "from momapos.apps.cli.main import entry; entry()"
-OPENINGS = Path(__file__).with_name("robot_openings.py")
 LIMIT, LIMIT_OPENINGS = 180, 900
 """Limits of processor time for a command, and for all openings of a robot [s]."""
 BOX = "0.6x0.5x0.7"
@@ -152,16 +163,14 @@ MODELS = (
 )  # fmt: skip
 
 
-def run(words: list[str], limit: int = LIMIT) -> Outcome:
+def process(words: list[str], limit: int = LIMIT) -> Outcome:
     """Run Python in a separate process."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
         child = subprocess.Popen(
-            [sys.executable, *words],
-            stdout=out,
-            stderr=subprocess.STDOUT,
-            preexec_fn=partial(_limit, limit),
-        )
+            [sys.executable, *words], stdout=out, stderr=subprocess.STDOUT,
+            preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit)),
+        )  # fmt: skip
         most, status = 0.0, None
         while status is None:
             try:
@@ -173,10 +182,6 @@ def run(words: list[str], limit: int = LIMIT) -> Outcome:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Outcome(status, used, time.monotonic() - began, most, lines[-1] if lines else "")
-
-
-def _limit(seconds: int) -> None:
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
 
 
 def _resident(pid: int) -> float:
@@ -193,9 +198,9 @@ def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]
     urdf, out = site / model.folder / model.urdf, folder / f"{model.name}.toml"
     more = [word.format(folder=site / model.folder) for word in model.words]
     words = ["-c", COMMAND, "robot", "check", str(urdf), "--out", str(out), *more]
-    done = [("check", run(words))]
+    done = [("check", process(words))]
     if model.kind == "arm" and done[0][1].status == 2:
-        done.append(("on a box", run([*words, "--on-box", BOX])))
+        done.append(("on a box", process([*words, "--on-box", BOX])))
     return done
 
 
@@ -208,8 +213,8 @@ def measured(model: Model, site: Path, place: int, out: Path | None) -> list[tup
         done = checked(model, site, Path(folder))
         if place and understood(model, done) and done[-1][1].status == 0:
             file = str(Path(folder) / f"{model.name}.toml")
-            words = [str(OPENINGS), file, "--most", str(place)]
-            done.append(("openings", run(words, LIMIT_OPENINGS)))
+            words = [__file__, "openings", file, "--most", str(place)]
+            done.append(("openings", process(words, LIMIT_OPENINGS)))
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps([(what, asdict(it)) for what, it in done]))
@@ -223,7 +228,7 @@ def understood(model: Model, done: list[tuple[str, Outcome]]) -> bool:
 
 
 def openings_row(model: Model, checks: float, did: Outcome) -> str:
-    """Format the results of `robot_openings.py` as a row; `checks` is the time of checking [s]."""
+    """Format the results of `openings` as a row; `checks` is the time of checking [s]."""
     if did.status != 0:
         return f"| {model.name} | {model.subset} | ended with status {did.status} |"
     found = json.loads(did.last)
@@ -249,34 +254,39 @@ def openings_row(model: Model, checks: float, did: Outcome) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def main() -> None:
-    """Print a row for each robot, and the counts."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("site", type=Path)
-    parser.add_argument(
-        "--get", action="store_true", help="install the packages if SITE is missing"
-    )
-    parser.add_argument("--set", choices=SETS)
-    parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--table", action="store_true", help="only the robots of the table")
-    parser.add_argument("--place", type=int, default=0, help="number of openings per kitchen")
-    parser.add_argument("--out", type=Path, help="folder of stored results")
-    args = parser.parse_args()
-    if args.get and not args.site.exists():
-        install = [sys.executable, "-m", "pip", "install", "--no-deps", "--target", str(args.site)]
+def check(
+    site: Path, get: bool = False, subset: Subset = None, only: tuple[str, ...] = (),
+    table: bool = False, place: int = 0, out: Path | None = None,
+) -> None:  # fmt: skip
+    """Check that `robot check` suffices to use manufacturers' robot models.
+
+    These files stay unchanged. A mobile manipulator must get a robot file; an arm without a base
+    must get a reason and then, with `--on-box`, a robot file; other models must get a reason.
+
+    Args:
+        site: Packages with the manufacturers' files.
+        get: Install the packages if SITE is missing (1.2 GB).
+        subset: Only the robots of one set.
+        only: Only these robots.
+        table: Only the robots of the table of openings in docs/results/robots.md.
+        place: Number of openings that each robot with a file plans in each of five kitchens.
+        out: Folder of results, which are reused.
+    """
+    if get and not site.exists():
+        install = [sys.executable, "-m", "pip", "install", "--no-deps", "--target", str(site)]
         subprocess.run([*install, *PACKAGES], check=True)
-    only = {*args.only, *(TABLE if args.table else ())}
+    wanted = {*only, *(TABLE if table else ())}
     models = [
         model
         for model in MODELS
-        if args.set in (None, model.subset) and (not only or model.name in only)
+        if subset in (None, model.subset) and (not wanted or model.name in wanted)
     ]
     print(machine())
     print("| robot | set | what | status | processor [s] | wall [s] | memory [GB] | last line |")
     print("|---|---|---|---|---|---|---|---|")
     right, opened = 0, []
     for model in models:
-        done = measured(model, args.site, args.place, args.out)
+        done = measured(model, site, place, out)
         right += understood(model, done)
         for what, it in done:
             # Messages of the test set must not be examined.
@@ -299,5 +309,142 @@ def main() -> None:
         print("|" + "---|" * 16, *opened, sep="\n")
 
 
+POSES, DRAWN = 12_000, 4_000
+"""Number of tool poses near reach that evaluate a map, and of tool poses of random arm states that
+evaluate inverse kinematics [-]."""
+
+
+def openings(
+    file: Path, scenes: tuple[str, ...] = SCENES, most: int = 2, run: int = 2,
+    timeout: float = 30.0, grid: float = 30.0, arm: str | None = None,
+) -> None:  # fmt: skip
+    """Evaluate a robot file in the simulator's kitchens: map, answers, and execution in physics.
+
+    Prints one JSON object, including the recall of planning's inverse kinematics on tool poses of
+    random arm states. Some openings of each kitchen, spread over it, are planned. Unsolved ones are
+    searched by a grid of 5 cm and 10 degrees with more time.
+
+    Args:
+        file: Robot file.
+        scenes: Kitchens.
+        most: Number of openings per scene.
+        run: Number of executed answers.
+        timeout: Time limit per opening [s].
+        grid: Time limit of the grid [s].
+        arm: Arm of a robot with several; the first by default.
+    """
+    start, wall = time.process_time(), time.monotonic()
+    robot = load_robot(file, arm=arm)
+    began, began_wall = time.process_time(), time.monotonic()
+    reach = load_reach(robot)
+    built, built_wall = time.process_time() - began, time.monotonic() - began_wall
+    found: dict[str, Any] = {"robot": robot.name, "joints": robot.chain.size}
+    found |= {"built": built, "built_wall": built_wall, "holds": not empty_handed(robot)}
+    rows, solved = [], []
+    for name in scenes:
+        doors = openable(scene_of(name, USER_CACHE))
+        for part in doors[:: max(1, len(doors) // most)][:most]:
+            row, plan = answered(robot, reach, name, part, timeout)
+            first = {"first": time.process_time() - start, "wall": time.monotonic() - wall}
+            found = first | found
+            if row["status"] in ("infeasible", "timeout"):
+                row["grid"] = by_grid(robot, reach, name, part, grid)
+            rows.append(row)
+            print(row, file=sys.stderr, flush=True)
+            if plan is not None and plan.status == "solved":
+                solved.append((name, plan))
+    found |= of_map(reach, robot) | {"found": found_of(robot.chain, DRAWN).share}
+    found["answers"] = rows
+    found["runs"] = [
+        run_plan(plan, scene_of(name), robot, reach).success for name, plan in solved[:run]
+    ]
+    print(json.dumps(found))
+
+
+def of_map(reach: ReachScorer, robot: Robot) -> dict[str, float]:
+    """Return misses and false positives of the map near reach [-], and its size [MB].
+
+    Empty without a map. The reference is inverse kinematics with redundant joints locked at 33
+    values, since the 9 values of planning miss solutions.
+    """
+    if not isinstance(reach, ReachMap):
+        return {}
+    near = evaluate(reach, robot, np.random.default_rng(0), POSES, robot.finer.ik, near=True)
+    size = len(encode(reach)) / 1e6
+    return {"misses": near.misses, "false_positives": near.false_positives, "megabytes": size}
+
+
+def answered(
+    robot: Robot, reach: ReachScorer, scene: str, part: tuple[str, str], timeout: float
+) -> tuple[dict[str, Any], PlacementPlan | None]:
+    """Plan one opening; return the row with the processor time, and the plan."""
+    row: dict[str, Any] = {"task": f"{Path(scene).stem} {'/'.join(part)}"}
+    room = scene_of(scene, USER_CACHE)
+    began = time.process_time()
+    try:
+        task = make_task(room, "open", *part)
+        config = replace(CONFIG, timeout=timeout)
+        plan = plan_base_placement(room, robot, task, reach, config=config).plan
+    except MomaposError as error:
+        return row | {"status": "refused", "why": str(error)[:100]}, None
+    row |= {"status": plan.status, "seconds": time.process_time() - began, "to": plan.feasible_to}
+    return row | {"why": "" if plan.status == "solved" else why_not(plan)[:100]}, plan
+
+
+def why_not(plan: PlacementPlan) -> str:
+    """Return what the base pose that came nearest lacks, or else the most frequent reason."""
+    if plan.candidates.nearest is not None:
+        return plan.candidates.nearest.reason
+    return max(plan.candidates.rejections.items(), key=lambda one: one[1], default=("", 0))[0]
+
+
+def by_grid(
+    robot: Robot, reach: ReachScorer, scene: str, part: tuple[str, str], timeout: float
+) -> str:
+    """Return the status of an opening from the whole grid of base poses."""
+    room = scene_of(scene, USER_CACHE)
+    config = replace(CONFIG, timeout=timeout, place=PlaceConfig(method="exhaustive"))
+    task = make_task(room, "open", *part)
+    answer = plan_base_placement(room, robot, task, reach, config=config)
+    passed = (PoseStatus.FEASIBLE, PoseStatus.PATH_FOUND)
+    found = any(one.status in passed for one in answer.search.counts())
+    return "solved" if found else str(answer.plan.status)
+
+
+REPEATS = 5
+
+
+def row(robot: Robot) -> str:
+    """Return one line of the table."""
+    chain, spheres = robot.chain, robot.spheres
+    q = sample_states(chain, np.random.default_rng(5))
+    found = contacts(chain, spheres, q)
+    decided = touches(chain, spheres, q).mean()
+    begin = time.process_time()
+    for _ in range(REPEATS):
+        touches(chain, spheres, q)
+    each = (time.process_time() - begin) / REPEATS / len(q)
+    shares = (found.by_hulls.any(1).mean(), found.by_spheres.any(1).mean(), decided)
+    name = " ".join(filter(None, (robot.name, robot.arm)))
+    percent = " | ".join(f"{100 * share:.1f}" for share in shares)
+    return f"| {name} | {percent} | {len(decided_by_hulls(spheres))} | {1e6 * each:.1f} |"
+
+
+def self_collision(robots: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
+    """Count self-collisions of random arm states by hulls, by spheres, and as planning decides.
+
+    Processor time of one thread.
+
+    Args:
+        robots: Robots of the library; all by default.
+    """
+    print(
+        "| states blocked [%] | by hulls | by spheres only | as in planning | pairs left to hulls |"
+    )
+    for name in robots or library_names():
+        for robot in load_arms(name):
+            print(row(robot))
+
+
 if __name__ == "__main__":
-    main()
+    commands(__doc__, check, openings, self_collision)

@@ -1,38 +1,74 @@
-"""Evaluate scenes from scans of known kitchens: fronts, waypoints, answers, times.
+"""Evaluate scenes from scans of known kitchens: fronts, waypoints, answers, and whole chains.
 
-    python benchmarks/scan.py [--rooms 20] [--robot segway_ur5e] [--folder bench_out/scans]
-                              [--frames 100] [--out bench_out] [--no-answers]
+    python benchmarks/scan.py kitchens [--rooms 20] [--robot segway_ur5e] [--frames 100]
+        [--folder bench_out/scans] [--out bench_out] [--no-answers]
+    python benchmarks/scan.py chains [--kitchens kitchen_small ...] [--chains ours views paper]
+        [--robot segway_ur5e] [--frames 60] [--folder bench_out/chains]
 
-Renders each kitchen as a walk with an RGB-D camera, reconstructs a scene, and compares it with the
-kitchen. A task counts if it is feasible in the kitchen. It is solved from the scan if `place`
-solves it in the reconstructed scene and the plan passes the exact check in the kitchen with a
-margin of 2 cm.
+Each kitchen is rendered as a walk with an RGB-D camera, and a scene is reconstructed from it.
 """
 
 from __future__ import annotations
 
-import argparse
+import contextlib
+import io
 import json
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from momapos.core import default_cache_dir
+from momapos.apps.cli.main import main as momapos
+from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
+from momapos.core import MomaposError
 from momapos.core.geometry import apply, invert, pose_planar
-from momapos.model.records import PlacementPlan, ReachScorer, Task
-from momapos.model.robots import Robot, load_robot
-from momapos.model.scene import Scene, load_scene
+from momapos.model.records import PlacementPlan, ReachScorer, Scan, Task
+from momapos.model.robots import Robot
+from momapos.model.scene import LAYOUTS, Scene, generate_kitchen, load_scene
 from momapos.model.urdf import opening_of
-from momapos.perception import Modeled, default_tools
+from momapos.perception import Modeled, ScanConfig, default_tools
+from momapos.perception.recordings import read_scan
+from momapos.perception.views import ViewMethod
 from momapos.planning import PipelineConfig, PlacementResult, plan_base_placement
 from momapos.planning.grasps import hand_path, make_task, openable, opening_direction
 from momapos.planning.placement import PlaceConfig
-from momapos.planning.reachability import load_reach_map
 from momapos.verification import Limits, PlanVerifier
 from momapos.workflows import plan_by_hypothesis, scan_to_scene
-from scan_rooms import Room, rooms
+from placement import arm
+from rows import commands, keep_rows
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room and its scan."""
+
+    name: str
+    scene: Scene
+    scan: Scan
+
+
+def scanned(scene: Scene, folder: Path, frames: int, seed: int = 0) -> Path:
+    """Return the folder of a room's scan; render it if needed."""
+    if not folder.exists():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        write_scan(synthetic_scan(scene, frames=frames, seed=seed, sensor=DepthSensor()), folder)
+    return folder
+
+
+def generated(folder: Path, count: int, frames: int = 100) -> Iterator[Room]:
+    """Yield generated kitchens of all layouts in turn, each with a scan; generate missing ones."""
+    for k in range(count):
+        layout, seed = LAYOUTS[k % len(LAYOUTS)], k // len(LAYOUTS)
+        home = folder / f"{layout}_{seed}"
+        path = home / "scene" / "scene.json"
+        if not path.exists():
+            generate_kitchen(layout, seed=seed, out=path)
+        scene = load_scene(path)
+        yield Room(home.name, scene, read_scan(scanned(scene, home / "scan", frames, seed)))
+
 
 MARGIN = 0.02
 """Maximum error of a plan in the true room [m]."""
@@ -131,8 +167,7 @@ def answer(
     door: Door, room: Room, scanned: Scene, T_scene_truth: np.ndarray, robot_name: str
 ) -> Door:
     """Evaluate whether a feasible task is solved from the scan, and valid in the room."""
-    robot = load_robot(robot_name)
-    reach = load_reach_map(robot, default_cache_dir(), None)
+    robot, reach = arm(robot_name)
     config = PipelineConfig(place=PlaceConfig(grid=True), timeout=60.0)
     item, joint = door.name.split("/")
     task = make_task(room.scene, "open", item, joint)
@@ -247,41 +282,43 @@ def _triple(pose: np.ndarray) -> tuple[float, float, float]:
     return float(pose[0]), float(pose[1]), float(pose[2])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rooms", type=int, default=20)
-    parser.add_argument("--robot", default="segway_ur5e")
-    parser.add_argument("--frames", type=int, default=100, help="number of frames of new scans")
-    parser.add_argument("--folder", type=Path, default=Path("bench_out/scans"))
-    parser.add_argument("--out", type=Path, default=Path("bench_out"))
-    parser.add_argument("--no-answers", action="store_true")
-    args = parser.parse_args()
-    tools, doors, times = default_tools(), [], []
-    for room in rooms(args.folder, args.rooms, args.frames):
-        out = args.folder / room.name / "found" / "scene.json"
-        result = scan_to_scene(room.scan, out, tools)
-        scanned = load_scene(str(out))
+def kitchens(
+    rooms: int = 20, robot: str = "segway_ur5e", frames: int = 100, no_answers: bool = False,
+    folder: Path = Path("bench_out/scans"), out: Path = Path("bench_out"),
+) -> None:  # fmt: skip
+    """Compare scenes with the generated kitchens that they are scans of.
+
+    A task counts if it is feasible in the kitchen. It is solved from the scan if `place` solves it
+    in the reconstructed scene and the plan passes the exact check in the kitchen with a margin of
+    2 cm.
+
+    Args:
+        rooms: Number of kitchens.
+        robot: Robot of the library.
+        frames: Number of frames of new scans.
+        no_answers: Compare joints only.
+        folder: Folder of kitchens and scans.
+        out: Folder for scan.json.
+    """
+    tools, doors, times = default_tools(), list[Door](), []
+    for room in generated(folder, rooms, frames):
+        path = folder / room.name / "found" / "scene.json"
+        result = scan_to_scene(room.scan, path, tools)
+        made = load_scene(path)
         times.append({"frames": len(room.scan.frames), **result.timing})
-        found = compare(room, result, scanned)
-        if not args.no_answers:
-            T = result.T_scene_scan
-            found = [answer(door, room, scanned, T, args.robot) for door in found]
+        found = compare(room, result, made)
+        if not no_answers:
+            found = [answer(door, room, made, result.T_scene_scan, robot) for door in found]
         doors += found
-        print(
-            room.name,
-            summary(found),
-            {k: round(v, 1) for k, v in result.timing.items()},
-            flush=True,
-        )
+        spent = {k: round(v, 1) for k, v in result.timing.items()}
+        print(room.name, summary(found), spent, flush=True)
         for door in found:
             if door.reason:
                 print("   ", door.name, door.match, door.reason, flush=True)
     print("all", summary(doors))
     for category in sorted({door.category for door in doors}):
         print(f"  {category:14}", summary([d for d in doors if d.category == category]))
-    args.out.mkdir(parents=True, exist_ok=True)
-    data = {"doors": [asdict(door) for door in doors], "times": times}
-    (args.out / "scan.json").write_text(json.dumps(data, indent=1) + "\n")
+    keep_rows({"doors": [asdict(door) for door in doors], "times": times}, out, "scan")
 
 
 def summary(doors: list[Door]) -> str:
@@ -301,5 +338,122 @@ def summary(doors: list[Door]) -> str:
     return text
 
 
+CHAINS: dict[str, tuple[ViewMethod, tuple[str, ...]]] = {
+    "ours": ("voting", ()),
+    "views": ("first", ("--set", "scan.views=first")),
+    "paper": ("first", ("--method", "paper")),
+}
+"""Choice of views, and options of `momapos solve`."""
+HALF = 0.5
+"""Plans for a joint that is less probable are `assumed`, not solved [-]."""
+Part = tuple[str, str]
+"""Object and joint."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The answer for one part of a kitchen."""
+
+    part: Part
+    found: str = ""
+    """The part in the scan; "" if there is none."""
+    status: str = "not found"
+    opened: bool = False
+    probability: float = 1.0
+    """Probability of the part's most probable joint [-]."""
+    reason: str = ""
+
+
+def solvable(kitchen: Scene, robot_name: str) -> list[Part]:
+    """Return the parts that can be opened in a kitchen whose joints are known."""
+    (robot, reach), parts = arm(robot_name), []
+    for part in openable(kitchen):
+        with contextlib.suppress(MomaposError):
+            answer = plan_base_placement(kitchen, robot, make_task(kitchen, "open", *part), reach)
+            parts += [part] if answer.plan.status == "solved" else []
+    return parts
+
+
+def found_in(kitchen: Scene, scan: Path, out: Path, views: ViewMethod) -> dict[Part, Part]:
+    """Return the parts of a kitchen that a chain finds in its scan."""
+    made = scan_to_scene(read_scan(scan), out, default_tools(), config=ScanConfig(views=views))
+    return match(kitchen, load_scene(out), invert(made.T_scene_scan))
+
+
+def solve(
+    scan: Path, kitchen: str, found: Part, robot: str, out: Path, words: tuple[str, ...]
+) -> Opening:
+    """Run the command for one part of the scan."""
+    name = "/".join(found)
+    command = ["solve", str(scan), "open", name, "--robot", robot, "--world", kitchen, *words]
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()) as errors:
+        momapos([*command, "--out", str(out), "--no-pictures", "--json"])
+    if not printed.getvalue():
+        return Opening(found, name, "refused", reason=errors.getvalue().strip())
+    record = json.loads(printed.getvalue())
+    beliefs = load_scene(out / "scene.json").object(found[0]).hypotheses
+    first = beliefs[found[1]][0].probability if found[1] in beliefs else 1.0
+    done = record["done"] is True
+    return Opening(found, name, record["status"], done, first, record["reason"])
+
+
+def counts(openings: list[Opening]) -> str:
+    """Return one line of results."""
+    solved = [one for one in openings if one.status == "solved"]
+    return (
+        f"{sum(one.found != '' for one in openings)} of {len(openings)} found, "
+        f"{len(solved)} solved, {sum(one.status == 'assumed' for one in openings)} assumed, "
+        f"{sum(one.opened for one in openings)} opened; "
+        f"solved below one half: {sum(one.probability < HALF for one in solved)}"
+    )
+
+
+def chains(
+    kitchens: tuple[str, ...] = ("kitchen_small", "kitchen_island"),
+    chains: tuple[Literal["ours", "views", "paper"], ...] = ("ours", "views", "paper"),
+    robot: str = "segway_ur5e", frames: int = 60, folder: Path = Path("bench_out/chains"),
+) -> None:  # fmt: skip
+    """Open the doors and drawers of built-in kitchens from scans, by our chain and by the paper's.
+
+    Every opening that can be planned in the kitchen itself is answered by `momapos solve SCAN open
+    OBJECT/JOINT --world KITCHEN`, and the plan is executed in the true kitchen. "ours" has no
+    further options: all images vote for the front. "views" is `--set scan.views=first`: section
+    III-B of the paper, our placement. "paper" is `--method paper`: sections III-A to III-D.
+
+    "Found" counts parts of which the scene has one of the same kind with its handle within 15 cm.
+    Each part that is not found counts as not opened. "Below one half" counts plans with the status
+    solved for a joint whose probability in the scene is smaller; there must be none.
+
+    Args:
+        kitchens: Built-in kitchens.
+        chains: Chains to compare.
+        robot: Robot of the library.
+        frames: Number of frames of new scans.
+        folder: Folder of the scans.
+    """
+    results: dict[str, list[Opening]] = {chain: [] for chain in chains}
+    for name in kitchens:
+        kitchen = load_scene(name)
+        scan = scanned(kitchen, folder / name / "scan", frames)
+        parts = solvable(kitchen, robot)
+        for chain in chains:
+            views, words = CHAINS[chain]
+            home = folder / name / chain
+            found, openings = found_in(kitchen, scan, home / "whole" / "scene.json", views), []
+            for part in parts:
+                one = Opening(part)
+                if part in found:
+                    answer = solve(scan, name, found[part], robot, home / "solved", words)
+                    one = replace(answer, part=part)
+                openings.append(one)
+                done = "opened" if one.opened else one.reason
+                print(f"  {chain} {'/'.join(part)}: {one.found} {one.status} {done}", flush=True)
+            print(f"{name}, {chain}: {counts(openings)}", flush=True)
+            results[chain] += openings
+    for name, openings in results.items():
+        print(f"all, {name}: {counts(openings)}")
+
+
 if __name__ == "__main__":
-    main()
+    commands(__doc__, kitchens, chains)

@@ -22,7 +22,7 @@ def test_no_shared_object_opens_beyond_its_stated_maximum(tmp_path: Path) -> Non
     optional.there(DATA / "bestman")
     path = os.pathsep.join(map(str, (FOLDER, REPOSITORY, REPOSITORY / "src")))
     environment = {**os.environ, "PYTHONPATH": path, "MOMAPOS_SHARED": str(DATA)}
-    command = [str(FOLDER / "farthest.py"), "--set", "development", "--values", "6"]
+    command = [str(FOLDER / "openings.py"), "farthest", "--set", "development", "--values", "6"]
     done = subprocess.run(
         [sys.executable, *command, "--out", "rows"],
         capture_output=True, text=True, cwd=tmp_path, env=environment,

@@ -35,7 +35,7 @@ def reached(
         level: The level of the nodes.
         walls: Whether the robot gets only to the first cell.
     """
-    paths = importlib.import_module("lattice_paths")
+    paths = importlib.import_module("lattice")
     drivable = np.full((YAWS, SIDE, SIDE), not walls)
     drivable[cells[0]] = True
     lattice = SimpleNamespace(

@@ -32,7 +32,7 @@ def test_objects_and_their_counters_do_not_overlap(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    kitchens = importlib.import_module("object_kitchens")
+    kitchens = importlib.import_module("scan_objects")
     rooms = [(f"item/{k}", alone(0.4 + 0.1 * k, carried=k % 3 == 0)) for k in range(count)]
     place = kitchens.kitchen("kitchen", rooms)
     assert sorted(name for name, _ in place.objects.values()) == [name for name, _ in rooms]

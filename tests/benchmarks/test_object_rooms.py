@@ -1,4 +1,4 @@
-"""Laws of object lists: models are placed in rooms, and bad lists are refused with one line."""
+"""Laws of object lists: models are placed in rooms."""
 
 from __future__ import annotations
 
@@ -26,25 +26,12 @@ DOOR, LID = "0 0 -1", "1 0 0"
 ROOMS = """
 import json, sys
 from pathlib import Path
-from object_rooms import listed
-from scan_objects import places
-objects = list(listed(Path(sys.argv[1])))
+from scan_objects import listed, places
+objects = listed(Path(sys.argv[1]))
 found = {}
 for place in places(objects, None, 1):
     bounds = {item.name: [b.tolist() for b in item.bounds] for item in place.scene.objects}
     found[place.name] = bounds, place.scene.object("object").T_world_object[:3, :3].tolist()
-print(json.dumps(found))
-"""
-SCAN = """
-import json, runpy, sys
-script, *folders = sys.argv[1:]
-found = []
-for folder in folders:
-    sys.argv = [script, "--no-answers", "--folder", "none", "--models", folder]
-    try:
-        found.append(str(runpy.run_path(script, run_name="__main__")))
-    except SystemExit as end:
-        found.append(end.code)
 print(json.dumps(found))
 """
 
@@ -95,40 +82,3 @@ def test_a_model_stands_hangs_or_has_a_counter_below(name: str, above: float, ro
         assert 0.0 < above - top < 0.01
         assert low < bounds["object"][0][0]
         assert high == pytest.approx(0.0)
-
-
-def test_a_bad_list_is_a_one_line_error(tmp_path: Path) -> None:
-    (tmp_path / "a.urdf").write_text(URDF.format(axis=DOOR))
-    bad: dict[str, Any] = {
-        "cannot be read": None,
-        "is not JSON": "[{",
-        "must be a list": {},
-        "is not a record": [1],
-        "name must be words": [row(name="item")],
-        "is there twice": [row(), row()],
-        "counter must be": [row(counter=1)],
-        "above must be a height": [row(above=float("nan"))],
-        "above must be more": [row(counter=True)],
-        "urdf must name a file": [row(urdf=None)],
-        "is not in the folder": [row(urdf="../a.urdf")],
-        "is not there": [row(urdf="b.urdf")],
-        "a.urdf is not in the folder": [row(urdf=str(tmp_path / "a.urdf"))],
-        "not well-formed XML": [row(urdf="bad.urdf")],
-    }
-    folders = []
-    for number, rows in enumerate(bad.values()):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        (folder / "bad.urdf").write_text("<robot")
-        (folder / "a.urdf").write_text(URDF.format(axis=DOOR))
-        if rows is not None:
-            text = rows if isinstance(rows, str) else json.dumps(rows)
-            (folder / "models.json").write_text(text)
-        folders.append(folder)
-    script = REPOSITORY / "benchmarks" / "scan_objects.py"
-    lines = run(SCAN, script, *folders, folder=tmp_path)
-    for words, line in zip(bad, lines, strict=True):
-        assert isinstance(line, str), words
-        assert words in line
-        assert "\n" not in line
-    assert not (tmp_path / "none").exists()

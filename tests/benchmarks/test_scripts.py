@@ -11,22 +11,28 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests import optional
-from tests.real import DATA
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = REPOSITORY / "benchmarks"
 SCRIPTS = tuple(p.name for p in sorted(FOLDER.glob("*.py")) if "__main__" in p.read_text())
+RUNS = re.findall(
+    r'^    f?"(\w+\.py(?: [a-z][a-z-]+(?= |"))?)(.*)",',
+    (FOLDER / "run.py").read_text(),
+    re.MULTILINE,
+)
+"""What `make bench` runs: script, with the name of its measurement if it has several; options."""
 PRINT_HELP = """
 import contextlib, io, json, runpy, sys
 found = {}
-for path in sys.argv[1:]:
-    sys.argv, text = [path, "--help"], io.StringIO()
+folder, *commands = sys.argv[1:]
+for command in commands:
+    script, *words = command.split()
+    sys.argv, text = [f"{folder}/{script}", *words, "--help"], io.StringIO()
     try:
         with contextlib.redirect_stdout(text):
-            runpy.run_path(path, run_name="__main__")
+            runpy.run_path(sys.argv[0], run_name="__main__")
     except SystemExit as end:
-        found[path.rsplit("/", 1)[1]] = end.code or 0, text.getvalue()
+        found[command] = end.code or 0, text.getvalue()
 print(json.dumps(found))
 """
 SMALLEST = {
@@ -36,7 +42,7 @@ SMALLEST = {
     ),
     "drive.py --robots segway_ur5e --drives 1 --layouts 0": "arrived: within",
     "parts.py --drawn 1 --shared nowhere --pictures out": "fronts recognized: ",
-    "importance.py --repeats 1": "| kitchen_small | 17 |",
+    "importance.py ranking --repeats 1": "| kitchen_small | 17 |",
 }
 """Smallest inputs, and a text of their reports. The other scripts take more than 10 s."""
 
@@ -53,11 +59,11 @@ def run(*command: str, folder: Path, shared: Path) -> str:
 
 @pytest.fixture(scope="module")
 def help_of(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
-    """Return exit status and help text of every script, run in one process."""
+    """Return exit status and help text of every script and run, from one process."""
     folder = tmp_path_factory.mktemp("help")
-    paths = [str(FOLDER / name) for name in SCRIPTS]
+    commands = {*SCRIPTS, *(command for command, _ in RUNS)}
     found: dict[str, tuple[int, str]] = json.loads(
-        run("-c", PRINT_HELP, *paths, folder=folder, shared=folder)
+        run("-c", PRINT_HELP, str(FOLDER), *commands, folder=folder, shared=folder)
     )
     return found
 
@@ -70,11 +76,10 @@ def test_a_script_has_a_help_text(script: str, help_of: dict[str, tuple[int, str
 
 
 def test_make_bench_passes_existing_options(help_of: dict[str, tuple[int, str]]) -> None:
-    runs = re.findall(r'^    \["(\w+\.py)"(.*)\]', (FOLDER / "run.py").read_text(), re.MULTILINE)
-    assert len(runs) > 10
-    for script, rest in runs:
-        for option in re.findall(r'"(--[a-z-]+)"', rest):
-            assert option in help_of[script][1], f"{script} {option}"
+    assert len(RUNS) > 10
+    for command, rest in RUNS:
+        for option in re.findall(r"--[a-z-]+", rest):
+            assert option in help_of[command][1], f"{command} {option}"
 
 
 @pytest.mark.slow
@@ -83,11 +88,3 @@ def test_a_benchmark_runs_on_its_smallest_input(command: str, tmp_path: Path) ->
     script, *options = shlex.split(command)
     out = run(str(FOLDER / script), *options, folder=tmp_path, shared=tmp_path)
     assert SMALLEST[command] in out
-
-
-@pytest.mark.slow
-def test_the_papers_tasks_run_once(tmp_path: Path) -> None:
-    data = optional.there(DATA / "bestman").parent
-    options = ("--trials", "1", "--tasks", "open microwave")
-    out = run(str(FOLDER / "paper_tasks.py"), *options, folder=tmp_path, shared=data)
-    assert "| open microwave | ours | 1 |" in out
