@@ -106,10 +106,7 @@ def photograph(
 
 
 def cloud_of(
-    boxes: Sequence[Corners],
-    rng: np.random.Generator,
-    spacing: float = 0.015,
-    noise: float = 0.002,
+    boxes: Sequence[Corners], rng: np.random.Generator, spacing: float = 0.015, noise: float = 0.002
 ) -> Cloud:
     """Sample points on the faces of boxes that are visible from inside the room.
 
@@ -135,11 +132,7 @@ def cloud_of(
 
 
 def _face(
-    low: Float[np.ndarray, "3"],
-    high: Float[np.ndarray, "3"],
-    axis: int,
-    at: float,
-    spacing: float,
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], axis: int, at: float, spacing: float
 ) -> Float[np.ndarray, "n 3"]:
     a, b = (k for k in range(3) if k != axis)
     steps = [np.arange(low[k] + spacing / 2, high[k], spacing) for k in (a, b)]

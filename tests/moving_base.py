@@ -54,7 +54,6 @@ def on_moving_base(
         base: Base pose at each state of the manipulation; the first is the plan's.
     """
     motion = plan.motion
-    assert motion is not None
     return replace(plan, motion=moved(motion, robot.chain, base))
 
 

@@ -30,8 +30,6 @@ def answer() -> PlacementResult:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
     found = plan_base_placement(scene, robot, task)
-    assert found.plan.base_pose is not None
-    assert found.plan.motion is not None
     base = arc(found.plan.base_pose, -0.06, 0.05, len(found.plan.motion.q))
     return replace(found, plan=on_moving_base(found.plan, robot, base))
 
@@ -47,7 +45,6 @@ def test_plans_tell_how_the_base_moves(tmp_path: Path) -> None:
     assert words["moves"] == "drives 0.20 m and turns 17 deg while the hand holds the part"
     assert words["stops"] == "drives 0.20 m and turns 17 deg between grasps"
     plan = read_plan(tmp_path / "still" / "plan.json")
-    assert plan.motion is not None
     assert replace(plan, motion=replace(plan.motion, base=None)).base_motion == ""
 
 
@@ -69,5 +66,4 @@ def test_figures_and_pages_show_the_base_where_it_ends(
     plan = answer.plan
     html = page_of(answer.prepared.scene, answer.prepared.robot, plan)
     assert len(html) > 100_000
-    assert plan.motion is not None
     np.testing.assert_allclose(plan.motion.base_poses((0.0, 0.0, 0.0))[0], plan.base_pose)

@@ -14,12 +14,7 @@ from pathlib import Path
 import pytest
 
 from momapos.core import files
-from momapos.core.files import (
-    incomplete,
-    remove_if_incomplete,
-    temporary_folder,
-    write_atomic,
-)
+from momapos.core.files import incomplete, remove_if_incomplete, temporary_folder, write_atomic
 
 _HANG = """
 import os, sys, time
@@ -50,7 +45,6 @@ def hanging(folder: Path, kind: str) -> subprocess.Popen[str]:
     """Start a process that stops before it has finished writing."""
     call = [sys.executable, "-c", _HANG, str(folder), kind]
     process = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     return process
 
@@ -58,7 +52,6 @@ def hanging(folder: Path, kind: str) -> subprocess.Popen[str]:
 def kill(process: subprocess.Popen[str]) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert process.stdout is not None
     process.stdout.close()
 
 

@@ -71,7 +71,6 @@ def chosen(
 
 def detected(frame: Frame, score: float) -> list[ImageDetection]:
     rectangle = projection(FRIDGE, frame)
-    assert rectangle is not None
     return [ImageDetection(rectangle, "fridge", score)]
 
 

@@ -51,7 +51,6 @@ def test_the_box_is_cut_out_and_its_parts_get_joints(tmp_path: Path) -> None:
     (item,) = scene.objects
     assert item.name == "cabinet_1"
     assert len(item.model.joints) == 2
-    assert scene.start is not None
     assert scene.start[1] < -1.0, "in front of the front"
     assert made.warnings == ()
 
@@ -59,7 +58,6 @@ def test_the_box_is_cut_out_and_its_parts_get_joints(tmp_path: Path) -> None:
 def test_the_front_lies_in_the_box_of_the_image(tmp_path: Path) -> None:
     made = model_photo(photo(), tmp_path / "a.json", tools([]))
     (decision,) = made.decisions
-    assert decision.view is not None
     frame, face = made.frames[0], decision.view.face
     corners = np.array([[x, y, 0, 1] for x in (-0.5, 0.5) for y in (-0.5, 0.5)], float)
     corners[:, :2] *= face.width, face.height
@@ -113,10 +111,7 @@ def test_a_box_or_size_that_is_not_usable_is_refused(
         (["--photo", "p.png", "--box", "1,2,90,90", "--up", "z"], "--up applies to scans"),
         (["--photo", "p.png", "--box", "1,2,90,90", "--instances", "a"], "--instances applies"),
         (["--photo", "p.png", "--box", "1,2,90,90", "--target", "a"], "--target applies to scans"),
-        (
-            ["--photo", "p.png", "--box", "1,2,90,90", "--label", "a", "--label", "b"],
-            "one --label",
-        ),
+        (["--photo", "p.png", "--box", "1,2,90,90", "--label", "a", "--label", "b"], "one --label"),
         (["--photo", "none.png", "--box", "1,2,90,90"], "no such file"),
         (["--photo", "p.txt", "--box", "1,2,90,90"], "not a JPEG or PNG"),
         (["--photo", "p.png", "--box", "1,2,900,90"], "not within the image of 100 x 100"),

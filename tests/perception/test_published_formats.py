@@ -221,7 +221,6 @@ def test_an_array_of_numpy_in_a_torch_file_is_read_as_saved(
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("a_masks/data.pkl", pickle.dumps(values, protocol=2))
     read = load_array(path)
-    assert read is not None
     np.testing.assert_array_equal(read, values)
     assert read.dtype == values.dtype
 

@@ -53,12 +53,7 @@ def thing(frames: list[Frame]) -> tuple[Detection, Cloud]:
     [("bed", False, "bed"), ("bed", True, "cabinet"), ("fridge", True, "fridge")],
 )
 def test_furniture_with_handles_is_not_a_bed(
-    frames: list[Frame],
-    thing: tuple[Detection, Cloud],
-    label: str,
-    *,
-    handles: bool,
-    called: str,
+    frames: list[Frame], thing: tuple[Detection, Cloud], label: str, *, handles: bool, called: str
 ) -> None:
     item, cloud = thing
     found = {frame.name: [whole(frame, label)] for frame in frames}

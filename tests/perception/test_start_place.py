@@ -44,7 +44,6 @@ def distance(x: float, y: float, items: list[UprightBox]) -> float:
 def test_the_start_is_free_walked_over_and_not_in_a_pocket() -> None:
     path = [(2.2, -2.0), (2.2, 0.0), (-2.4, -2.4), (-2.4, -1.4), (-2.3, 0.4), (-1.2, 1.0)]
     start = start_place(boxes(POCKET), FLOOR, cameras(path))
-    assert start is not None
     x, y, yaw = start
     assert x < 0.9, "not behind the wall, where the camera was, too"
     assert distance(x, y, boxes(POCKET)) > 0.45
@@ -70,20 +69,17 @@ def test_a_start_is_never_in_a_box(seed: int) -> None:
 def test_hanging_cabinets_and_rugs_are_not_in_the_way() -> None:
     above: list[Corners] = [((-3, -3, 1.6), (3, 3, 2.2)), ((-3, -3, 0), (3, 3, 0.02))]
     start = start_place(boxes(above), FLOOR, cameras([(0.5, 0.5)]))
-    assert start is not None
     assert np.hypot(start[0] - 0.5, start[1] - 0.5) < 0.35
 
 
 def test_cameras_over_furniture_or_outside_leave_any_free_place() -> None:
     for path in ([(9.0, 9.0)], [(-1.0, 2.7), (-1.5, 2.7)]):
         start = start_place(boxes(POCKET), FLOOR, cameras(path))
-        assert start is not None
         assert distance(start[0], start[1], boxes(POCKET)) > 0.45
 
 
 def test_a_cloud_without_cameras_has_a_roomy_start() -> None:
     start = start_place(boxes(POCKET), FLOOR, [])
-    assert start is not None
     assert start[0] < 0.9
     assert distance(start[0], start[1], boxes(POCKET)) > 0.6
 

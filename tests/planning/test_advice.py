@@ -25,13 +25,7 @@ from momapos.planning.advice import objects_in_the_way, with_advice
 from momapos.planning.base_pose_check import check_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.moved_objects import (
-    DIRECTIONS,
-    DISTANCES,
-    FLUSH,
-    can_be_moved,
-    free_offsets,
-)
+from momapos.planning.moved_objects import DIRECTIONS, DISTANCES, FLUSH, can_be_moved, free_offsets
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
@@ -74,7 +68,6 @@ def asked(
 
 def base_pose(advice: str) -> np.ndarray:
     found = re.search(r"from \((\S+), (\S+), (\S+) deg\)$", advice)
-    assert found is not None
     x, y, yaw = map(float, found.groups())
     return np.array([[x, y, np.radians(yaw)]])
 
@@ -90,7 +83,6 @@ def moved(scene: Scene, name: str, offset: np.ndarray) -> Scene:
 def works_as_stated(query: PlacementQuery, scene: Scene, advice: str) -> bool:
     """Ask directly in the changed room, and at the base pose that the advice states."""
     stated = re.search(r"from \((\S+), (\S+), (\S+) deg\)$", advice)
-    assert stated is not None
     x, y, yaw = map(float, stated.groups())
     other = replace(query, scene=scene)
     there = check_pose(other, (x, y, float(np.radians(yaw))), how_far=False)
@@ -101,7 +93,6 @@ def test_the_object_that_keeps_the_robot_away_is_named(
     robots: Robots, room: Scene, tmp_path: Path
 ) -> None:
     answer, advice = asked(room, robots("fetch"))
-    assert answer.query is not None
     assert set(objects_in_the_way(answer, answer.query)) == {"vase", "crate"}
     assert advice.startswith("feasible without crate, from (")
     empty = replace(room, objects=tuple(one for one in room.objects if one.name != "crate"))
@@ -121,11 +112,9 @@ def test_an_object_that_can_be_moved_is_moved_as_little_as_needed(
     scene = cupboard_with(tmp_path, *others)
     answer, advice = asked(scene, robots("fetch"))
     found = re.match(r"feasible with chair moved (\d+) cm, by \((\S+), (\S+)\), from", advice)
-    assert found is not None
     distance, offset = int(found[1]) / 100, np.array([float(found[2]), float(found[3])])
     assert np.linalg.norm(offset) == pytest.approx(distance, abs=0.008)
     assert distance <= (1.25 if fence else 0.5)
-    assert answer.query is not None
     assert works_as_stated(answer.query, moved(scene, "chair", offset), advice)
 
 
@@ -214,7 +203,6 @@ def test_a_keep_in_area_is_widened_as_far_as_the_stated_pose(
     scene = replace(scene, areas={"lobby": area})
     _, advice = asked(scene, robot, region=BaseRegion(keep_in=(area,)))
     found = re.match(r"feasible with the keep-in area 'lobby' widened by (\d+) cm", advice)
-    assert found is not None
     points = place_points(base_pose(advice), robot.footprint)[0]
     polygon = np.array(area)
     beyond = np.where(contains(polygon, points), 0.0, edge_distances(points, polygon)).max()
@@ -239,7 +227,6 @@ def test_a_longer_drive_is_stated(robots: Robots, tmp_path: Path) -> None:
     scene = cupboard_with(tmp_path)
     _, advice = asked(scene, robots("fetch"), region=BaseRegion(most_driving=0.8))
     found = re.match(r"feasible with a drive of up to (\S+) m, from", advice)
-    assert found is not None
     straight = np.linalg.norm(base_pose(advice)[0, :2] - [-2.5, 0.0])
     assert 0.8 < straight <= float(found[1]) + 0.1
 

@@ -56,8 +56,6 @@ def question(scene: Scene, robot: str) -> PlacementQuery:
 def bar_on_drive(plan: PlacementPlan, robot: str, length: float) -> Float[np.ndarray, "n 3"]:
     """Return points of the bar on the drive, in the world, by the robot's kinematics alone."""
     machine = load_robot(robot)
-    assert plan.motion is not None
-    assert plan.base_path is not None
     first = machine.chain.tool_poses(machine.chain.freedom_values(plan.motion.approach[:1]))[0]
     T_world_bar = np.eye(4)
     T_world_bar[:3, 3] = 0.0, 1.95, 0.765
@@ -98,7 +96,6 @@ def test_verify_sees_what_is_carried(tmp_path: Path) -> None:
     scene, robot = room(tmp_path, 1.3), load_robot("segway_ur5e")
     wide = scene.without("left").without("right")
     plan = plan_placement(question(wide, "segway_ur5e")).plan
-    assert plan.motion is not None
     assert np.allclose(robot.chain.freedom_values(plan.motion.approach[0]), robot.home)
     write_plan(replace(plan, scene=str(tmp_path / "room.json")), tmp_path / "plan.json")
     report = verify_files(tmp_path / "plan.json")
@@ -123,7 +120,6 @@ def test_prisms_contain_what_is_held(tmp_path: Path) -> None:
     scene, robot = room(tmp_path, 1.3), load_robot("segway_ur5e")
     plan = plan_placement(question(scene, "segway_ur5e")).plan
     carrier, held = carrier_of(plan, scene, robot)
-    assert held is not None
     prisms = prisms_of(carrier, held)
     T = carrier.chain.tool_poses(carrier.home[None])[0]
     corners = np.concatenate(held.hulls) @ T[:3, :3].T + T[:3, 3]

@@ -125,8 +125,6 @@ def test_a_carried_object_stays_above_the_floor(
     scene, fetch = save_scene(room, tmp_path / "scene.json"), robots("fetch")
     answer = plan(scene, fetch, "pick", "stick")
     base, up = answer.plan.base_pose, answer.plan.motion
-    assert up is not None
-    assert base is not None
     down = replace(up, q=up.q[::-1], Ts_world_tool=up.Ts_world_tool[::-1])
     dips = []
     for bottom, motion in ((0.02, up), (0.02, down), (-0.04, up), (-0.04, down)):
@@ -160,8 +158,6 @@ def corner_room(folder: Path, **more: object) -> Path:
 
 def lowest_y(answer: PlacementResult) -> float:
     """Return the smallest y that a corner of the arm or the hand reaches [m]."""
-    assert answer.plan.motion is not None
-    assert answer.plan.base_pose is not None
     verifier = answer.prepared.verifier
     placed = verifier._placed(answer.plan.base_pose, answer.plan.motion)
     arm = verifier.robot_model.arm

@@ -37,8 +37,6 @@ def limited(longest: float, asked: list[tuple[float, float]]) -> object:
 
     def answer(query: PlacementQuery) -> PlacementResult:
         task = query.task
-        assert task.joint is not None
-        assert task.to is not None
         now = query.scene.object(task.object).values()[task.joint]
         asked.append((now, task.to))
         found = plan_to_value(query)
@@ -65,7 +63,6 @@ def test_two_stops_move_the_part_all_the_way_and_the_file_is_valid(
     plan, motion = found.plan, found.plan.motion
     assert plan.status == "solved"
     assert plan.task == query.task
-    assert motion is not None
     assert len(motion.grasps) == 2
     assert motion.object_q[-1] == pytest.approx(query.task.to)
     write_plan(plan, tmp_path / "plan.json")
@@ -78,7 +75,6 @@ def test_a_note_says_where_the_hand_lets_go_and_claims_nothing_about_fewer_stops
 ) -> None:
     _, found, _ = stops
     motion = found.plan.motion
-    assert motion is not None
     let_go = 100 * motion.object_q[motion.grasps[0].last]
     words = f"the robot stops 2 times, and lets go at {let_go:.0f} cm"
     assert found.notes[-1] == f"no single base pose serves this task; {words}"
@@ -89,8 +85,6 @@ def test_the_first_stretch_is_the_longest(
 ) -> None:
     query, found, _ = stops
     motion = found.plan.motion
-    assert motion is not None
-    assert query.task.to is not None
     values = query.task.to * np.arange(STRETCHES + 1) / STRETCHES
     let_go = motion.object_q[motion.grasps[0].last]
     assert let_go == pytest.approx(values[values <= LONGEST].max())
@@ -100,8 +94,6 @@ def test_the_base_drives_only_while_the_hand_is_free_and_the_part_rests(
     stops: tuple[PlacementQuery, PlacementResult, list[tuple[float, float]]],
 ) -> None:
     motion = stops[1].plan.motion
-    assert motion is not None
-    assert motion.base is not None
     moved = np.abs(np.diff(motion.base, axis=0)).max(1) > 0
     held = np.zeros(len(motion.q) - 1, bool)
     for hold in motion.grasps:

@@ -156,7 +156,6 @@ def test_the_service_gives_the_answer_of_the_library(ros: SimpleNamespace) -> No
     told = wait(ros.service.call_async(ros.request(**QUESTION)))
     assert told.status == plan.status == "solved"
     assert told.message.endswith(f"; tolerance {result.tolerance}")
-    assert plan.base_pose is not None
     position, turn = told.base_pose.pose.position, told.base_pose.pose.orientation
     yaw = 2 * np.arctan2(turn.z, turn.w)
     np.testing.assert_allclose((position.x, position.y, yaw), plan.base_pose, atol=1e-9)
@@ -192,7 +191,6 @@ def test_a_request_says_where_the_base_is_and_how_far_the_part_goes(ros: SimpleN
     scene, robot = momapos.load_scene(QUESTION["scene"]), momapos.load_robot(QUESTION["robot"])
     task = momapos.make_task(scene, "open", *QUESTION["target"].split("/"), "20cm")
     plan = momapos.plan_base_placement(scene, robot, task, start=np.array([2.0, -1.7, 0.8])).plan
-    assert plan.motion is not None
     last = told.trajectories[-1].points[-1].positions
     np.testing.assert_allclose(last, plan.motion.q[-1], atol=1e-6)
 
@@ -242,7 +240,6 @@ def test_the_action_drives_then_moves_from_where_the_base_is(ros: SimpleNamespac
     task = momapos.make_task(scene, "open", *QUESTION["target"].split("/"))
     last = [goal for goal in moves if hasattr(goal, "trajectory")][-1].trajectory.points[-1]
     motion = momapos.check_base_pose(scene, robot, task, base).motion
-    assert motion is not None
     np.testing.assert_allclose(last.positions, motion.q[-1], atol=1e-6)
 
 

@@ -59,7 +59,6 @@ def test_a_hinge_off_its_modeled_position_is_found_and_the_door_opened(
     config = ExecutionConfig(errors=HINGE_OFF)
     done = gripping(tmp_path).run(config=config, rng=np.random.default_rng(seed), watch=watch)
     assert done.success, done.reason
-    assert done.joint is not None
     axis, anchor = true[0]
     found = np.array(done.joint.direction)
     assert np.arccos(abs(found @ axis)) < HINGE_OFF.tilt / 2
@@ -78,9 +77,7 @@ def test_fingers_that_close_on_nothing_stop_the_run_and_the_door_stays_closed(
     assert done.reached == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_force_above_the_limit_stops_the_run_with_the_figures(
-    tmp_path: Path,
-) -> None:
+def test_a_force_above_the_limit_stops_the_run_with_the_figures(tmp_path: Path) -> None:
     limit = ComplianceConfig(force=40.0)
     stuck = ExecutionConfig(furniture=FurnitureConfig(latch_force=100.0), compliance=limit)
     done = gripping(tmp_path).run(config=stuck)
@@ -116,9 +113,7 @@ def test_rotating_fingers_close_together_by_their_mimic_joint(tmp_path: Path) ->
     np.testing.assert_allclose(left, right, atol=0.02)
 
 
-def test_the_grip_force_acts_at_the_pads_of_sliding_and_rotating_fingers(
-    tmp_path: Path,
-) -> None:
+def test_the_grip_force_acts_at_the_pads_of_sliding_and_rotating_fingers(tmp_path: Path) -> None:
     (slides,) = {f.lever for f in hand_of(gripping(tmp_path / "slides")).fingers}
     (turns,) = {f.lever for f in hand_of(gripping(tmp_path / "turns", turning=True)).fingers}
     assert slides == pytest.approx(1.0)
@@ -137,7 +132,6 @@ def test_without_a_plan_a_seal_pulls_at_the_free_edge_of_the_door(tmp_path: Path
 def hand_of(case: Toy) -> SimulatedHand:
     """Find the hand of a toy's robot."""
     path = case.robot.model.urdf.path
-    assert path is not None
     return find_hand(case.robot, read_dynamics(path).mimics)
 
 

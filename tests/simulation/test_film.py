@@ -82,7 +82,6 @@ def test_a_wall_in_front_of_the_camera_hides_nothing(tmp_path: Path) -> None:
     run.scene = replace(run.scene, objects=(*run.scene.objects, *walls))
     run.run(watch=walled)
     shot, world = shot_of(walled), walled.acts[0].world
-    assert world is not None
     assert len(shot.through) > 0
     assert all(world.kinds[k] == Kind.ROOM for k in shot.through)
     assert shot.camera.distance == pytest.approx(before.camera.distance, rel=0.05)
@@ -91,7 +90,6 @@ def test_a_wall_in_front_of_the_camera_hides_nothing(tmp_path: Path) -> None:
 def shot_of(trace: RunTrace) -> Shot:
     """Return the camera of a run."""
     (act,) = trace.acts
-    assert act.world is not None
     data = mujoco.MjData(act.world.model)
     return frame_shot(act.world, data, [state.q for state in act.states])
 
@@ -120,7 +118,6 @@ def test_the_force_arrow_is_drawn_over_what_hides_the_hand(tmp_path: Path) -> No
     trace = RunTrace()
     toy(tmp_path).run(watch=trace)
     world = trace.acts[0].world
-    assert world is not None
     shot, pictures = shot_of(trace), []
     inside = world.data.geom_xpos[np.flatnonzero(world.kinds == Kind.PART)[0]].copy()
     with canvas(world.model, 320, 240) as draw:

@@ -36,9 +36,7 @@ def test_an_mp4_has_all_images_at_their_rate() -> None:
     np.testing.assert_allclose(shades, [20, 120, 220], atol=4)
 
 
-def test_an_unusable_film_file_is_refused_before_the_run(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_unusable_film_file_is_refused_before_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(MissingExtraError, match=r"pip install av"):
         check_film(Path("film.mp4"))

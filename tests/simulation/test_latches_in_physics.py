@@ -27,12 +27,9 @@ def carried_out(there: Scene, believed: Scene, hold: str) -> tuple[AttemptOutcom
     robot, trace = load_robot("fetch"), Trace()
     task = make_task(believed, "open", "cupboard")
     plan = plan_base_placement(believed, robot, task).plan
-    assert plan.motion is not None
-    assert plan.base_pose is not None
 
     def watch(world: Simulation, _: float, __: Stage) -> None:
         latch, data = world.latch, world.data
-        assert latch is not None
         locked = bool(data.eq_active[latch.lock])
         trace.append((float(data.qpos[world.part_q]), float(data.qpos[latch.value_q]), locked))
 

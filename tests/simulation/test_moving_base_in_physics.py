@@ -18,12 +18,7 @@ from momapos.core.errors import InputError
 from momapos.model.robots.robot import Drive
 from momapos.model.trajectory import Trajectory
 from momapos.simulation.base_drive import BaseDrive, base_coordinates, base_pose_of
-from momapos.simulation.config import (
-    BASE_ASIDE,
-    BASE_YIELD,
-    BaseTrackingConfig,
-    ExecutionConfig,
-)
+from momapos.simulation.config import BASE_ASIDE, BASE_YIELD, BaseTrackingConfig, ExecutionConfig
 from momapos.simulation.execute import attempt
 from momapos.simulation.execution_run import MAX_LATE, ExecutionRun
 from momapos.simulation.run_record import Execution
@@ -59,7 +54,6 @@ def test_the_door_opens_by_contact_while_or_between_drives(name: str, tmp_path: 
     done, trace = run(ready)
     assert done.success, done.reason
     assert not done.collisions
-    assert ready.motion.base is not None
     bases = np.array(trace.motion().bases)
     np.testing.assert_allclose(bases[0], BASE, atol=1e-3)
     np.testing.assert_allclose(bases[-1], ready.motion.base[-1], atol=0.03)
@@ -68,12 +62,10 @@ def test_the_door_opens_by_contact_while_or_between_drives(name: str, tmp_path: 
 
 def test_a_base_that_slips_more_ends_farther_from_its_path(tmp_path: Path) -> None:
     ready, off = made(tmp_path, "differential", fingers=False), []
-    assert ready.motion.base is not None
     for slip in (0.0, 0.2):
         _, trace = run(ready, slip, hold="weld")
         state = trace.played[0].states[-1]
         world = trace.played[0].world
-        assert world is not None
         off.append(np.linalg.norm((base_pose_of(world, state.q) - ready.motion.base[-1])[:2]))
     assert off[0] < 0.005
     assert off[1] > 2 * off[0]
@@ -90,7 +82,6 @@ def test_a_base_keeps_its_limits_and_its_drive(tmp_path: Path) -> None:
     ready = made(tmp_path, "differential", fingers=False)
     _, trace = run(asked(ready, 0.02), hold="weld")
     world, step = trace.played[0].world, 0.004
-    assert world is not None
     first = np.array(BASE)
     left = first + np.array([-np.sin(BASE[2]), np.cos(BASE[2]), 0.0])
     for drive in ("differential", "omni"):
@@ -120,7 +111,6 @@ def test_a_base_relieves_the_hand_where_its_drive_goes_and_returns(
     ready = made(tmp_path, "differential", fingers=False)
     _, trace = run(asked(ready, 0.02), hold="weld")
     world = trace.played[0].world
-    assert world is not None
     first, robot = np.array(BASE), replace(ready.robot, drive=drive)
     base = BaseDrive(world, robot, first, BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0))
     ahead, left = (np.array([np.cos(y), np.sin(y), 0.0]) for y in (BASE[2], BASE[2] + np.pi / 2))
@@ -143,7 +133,6 @@ def test_the_arm_waits_for_a_base_that_is_late(tmp_path: Path) -> None:
     ready = made(tmp_path, "differential", fingers=False)
     _, trace = run(asked(ready, 0.02), hold="weld")
     world = trace.played[0].world
-    assert world is not None
     base = BaseDrive(
         world, ready.robot, np.array(BASE), BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0)
     )

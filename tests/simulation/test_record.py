@@ -112,9 +112,7 @@ def test_a_record_with_impossible_results_is_not_read(tmp_path: Path) -> None:
             read_run(path)
 
 
-def test_failed_attempts_round_trip_and_a_record_without_them_is_read(
-    tmp_path: Path,
-) -> None:
+def test_failed_attempts_round_trip_and_a_record_without_them_is_read(tmp_path: Path) -> None:
     tried = replace(RECORD, failed=(replace(DONE, base_pose=(1.0, 2.0, 0.5)),))
     write_run(tried, tmp_path / "run.json")
     assert read_run(tmp_path / "run.json") == tried

@@ -34,7 +34,6 @@ def world_of(scene: Scene, name: str, to: float) -> Simulation:
     """Build the world of opening a part, drawn without a spread."""
     robot, item = load_robot("fetch"), scene.object("cupboard")
     drawn = draw_resistance(item, item.joint(name), FurnitureConfig(), np.random.default_rng(0))
-    assert robot.model.urdf.path is not None
     dynamics = read_dynamics(robot.model.urdf.path)
     return build_simulation(
         scene, robot, (-1.5, 0.0, 0.0), robot.home[None], Task("open", "cupboard", name, to),

@@ -37,7 +37,6 @@ def twice(run: Toy) -> RunTrace:
 def test_the_base_in_the_world_is_at_its_driven_poses(twice: RunTrace) -> None:
     act = twice.acts[0]
     world = act.world
-    assert world is not None
     np.testing.assert_allclose(initial_base_pose(world), BASE, atol=1e-9)
     for pose in WAY:
         world.data.qpos[:] = act.standing_at(pose)
@@ -97,9 +96,7 @@ def test_a_run_that_never_reached_the_object_has_its_drives_only() -> None:
         {"poses": ((0.0,) * 6,) * 2, "part": ()},
     ],
 )
-def test_a_motion_with_inconsistent_lists_is_refused(
-    damaged: dict[str, tuple[float, ...]],
-) -> None:
+def test_a_motion_with_inconsistent_lists_is_refused(damaged: dict[str, tuple[float, ...]]) -> None:
     good = {
         "times": (0.0, 1.0), "stages": (DRIVE, DRIVE), "bases": ((0.0, 0.0, 0.0),) * 2,
         "part": (0.0, 0.5),

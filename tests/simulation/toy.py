@@ -47,7 +47,6 @@ def toy(folder: Path, case: Case | None = None) -> Toy:
     case = case or make_case()
     case.robot = case.robot.replace('effort="1"', 'effort="300"')
     plan = read_plan(case.write(folder))
-    assert plan.motion is not None
     model = Articulated(read_urdf(folder / "robot.urdf"))
     robot = Robot(
         name="toy", path=folder / "robot.toml", model=model, base_link="base", tool_link="tool",

@@ -108,12 +108,7 @@ def pick_case(grip: Grip = MIDDLE) -> Case:
     return case
 
 
-HELD = [
-    Grip((0.03, 0.0, 0.0)),
-    Grip((0.0, 0.006, 0.0)),
-    Grip((0.0, 0.0, -0.015)),
-    Grip(roll=25.0),
-]
+HELD = [Grip((0.03, 0.0, 0.0)), Grip((0.0, 0.006, 0.0)), Grip((0.0, 0.0, -0.015)), Grip(roll=25.0)]
 MISSED = [
     Grip((0.0, 0.0, -0.03)),
     Grip((0.0, 0.0, -0.05)),
@@ -179,9 +174,7 @@ def test_a_hook_pulls_from_behind(tmp_path: Path) -> None:
         assert failed(hook_case(grip=grip), tmp_path / str(k)) == {OFF}
 
 
-def test_a_hand_whose_fingers_miss_the_part_pushes_it_and_does_not_hook_it(
-    tmp_path: Path,
-) -> None:
+def test_a_hand_whose_fingers_miss_the_part_pushes_it_and_does_not_hook_it(tmp_path: Path) -> None:
     for family, fails in (("push", set()), ("hook", {OFF})):
         case = hold(make_case(), family)
         case.robot = case.robot.replace('size="0.02 0.01 0.06"', 'size="0.001 0.001 0.001"')

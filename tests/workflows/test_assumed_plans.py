@@ -78,10 +78,8 @@ def test_a_plan_for_a_less_probable_joint_is_assumed_and_states_how_far_the_prob
     plan, found = assumed.plan, assumed.plan.assumption
     assert plan.status == "assumed"
     assert plan.feasible
-    assert found is not None
     assert (found.kind, found.instead_of) == ("drawer", "door_right")
     assert (found.probability, found.instead_probability) == pytest.approx((0.04, 0.96))
-    assert found.feasible_to is not None
     assert 0.0 < found.feasible_to < np.pi / 2
     assert str(found) == "drawer (4 %)"
     assert (
@@ -94,7 +92,6 @@ def test_the_order_of_the_hypotheses_decides_and_not_the_kind_of_joint(
 ) -> None:
     plan = answer_in(room(tmp_path / "drawer", DRAWER_FIRST, post=BLOCKS_TWO), robot).plan
     assert plan.status == "assumed"
-    assert plan.assumption is not None
     assert (plan.assumption.kind, plan.assumption.instead_of) == ("door_left", "drawer")
     assert plan.assumption.instead.startswith("drawer (80 %): ")
     for name, odds in (("free_hinge", HINGE_FIRST), ("free_drawer", DRAWER_FIRST)):
@@ -108,7 +105,6 @@ def test_of_equal_probabilities_only_the_joint_of_the_scene_file_is_solved(
     odds: Odds = (("door_right", 0.5), ("drawer", 0.5))
     plan = answer_in(room(tmp_path / "equal", odds, post=BLOCKS_ONE), robot).plan
     assert plan.status == "assumed"
-    assert plan.assumption is not None
     assert plan.assumption.probability == plan.assumption.instead_probability == 0.5
     turned: Odds = (odds[1], odds[0])
     assert answer_in(room(tmp_path / "turned", turned, post=BLOCKS_ONE), robot).plan.status == (
@@ -123,7 +119,6 @@ def test_a_plan_for_a_joint_below_one_half_is_assumed_even_if_no_other_is_as_pro
     answer = answer_in(room(tmp_path / "three", odds), robot)
     plan, found = answer.plan, answer.plan.assumption
     assert (plan.status, plan.scene_hypotheses) == ("assumed", {})
-    assert found is not None
     assert found.is_first
     assert plan.assumes == "cupboard/drawer_slide is a drawer (45 %)"
     assert "joint type  drawer (45 %), assumed: the most probable one, but" in summary(answer, None)
@@ -212,7 +207,6 @@ def test_an_assumed_plan_is_neither_executed_nor_exported(
 def test_a_run_of_an_assumed_plan_says_that_the_part_moved_as_assumed_and_not_done(
     assumed: PlacementResult, robot: Robot
 ) -> None:
-    assert assumed.query is not None
     scene = assumed.query.scene
     with pytest.raises(InputError, match="allow_assumed=True"):
         run_plan(assumed.plan, scene, robot, Everywhere())

@@ -33,7 +33,6 @@ def test_an_unusable_latch_ends_with_exit_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = latched_room(tmp_path, "a lever").path
-    assert path is not None
     path.write_text(path.read_text().replace('"to": -0.7', '"to": 0.7'))
     assert main(["place", "open", str(path), "cupboard"]) == 2
     said = capsys.readouterr().err.strip().splitlines()

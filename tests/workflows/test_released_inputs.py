@@ -54,8 +54,6 @@ def answered(scene: Scene, robot: Robot) -> PlacementPlan:
     reach = Everywhere()
     plan = plan_base_placement(scene, robot, TASK, reach).plan
     assert plan.feasible, plan.status
-    assert plan.base_pose is not None
-    assert plan.motion is not None
     assert PlanVerifier(scene, robot, plan.task).check(plan.base_pose, plan.motion).valid
     assert run_plan(plan, scene, robot, reach, tries=1).success
     return plan

@@ -147,7 +147,6 @@ def test_an_appliance_front_without_depth_is_completed_and_reported(
     front = np.array([low - 0.02, [high[0] + 0.02, low[1] + 0.14, high[2] + 0.02]])
     dark = []
     for frame in scan.frames[::2]:
-        assert frame.depth is not None
         v, u = np.nonzero(frame.depth)
         rays = np.column_stack([u, v, np.ones(len(u))]) @ np.linalg.inv(frame.intrinsics).T
         points = apply(frame.T_world_camera, rays * frame.depth[v, u][:, None])
@@ -162,7 +161,6 @@ def test_an_appliance_front_without_depth_is_completed_and_reported(
     (found,) = [d for d in made.decisions if d.detection.name == name]
     assert found.detection.label == label
     assert np.abs(found.detection.box.center - middle)[:2].max() < 0.05
-    assert found.detection.seen is not None
     assert found.detection.seen < 0.2
     assert {part.kind for part in found.parts} == kinds
     assert any("depth is missing" in text and name in text for text in found.warnings)
@@ -200,7 +198,6 @@ def test_given_boxes_and_models_are_used(
     box = true_fridge(folder)
     given = Tools(lambda _: [Instance("fridge", 1.0, box=box)], tools.look, tools.predict)
     kitchen = load_scene("kitchen_small").object("fridge")
-    assert kitchen.model.urdf.path is not None
     models = {"fridge": GivenModel(kitchen.model.urdf.path)}
     result = scan_to_scene(scan, tmp_path / "scene.json", given, given=models)
     scene = load_scene(str(result.scene))
@@ -289,7 +286,6 @@ def test_a_scene_has_the_confidences_of_its_scan(made: Modeled) -> None:
         if decision.reason == "wall":
             assert sure is None
             continue
-        assert sure is not None
         assert sure.object == pytest.approx(decision.detection.seen, abs=1e-3)
         assert sure.label == pytest.approx(decision.detection.score, abs=1e-3)
         joints = scene.object(decision.detection.name).model.joints
@@ -303,7 +299,6 @@ def test_the_report_gives_a_reason_for_every_object(
     data = report_to_dict(made, scan, None)
     out = tmp_path / "scene.json"
     folder = write_report(replace(made, scene=out), data, made.scene, pictures=True)
-    assert folder is not None
     report = json.loads((made.scene.parent / "scan_report.json").read_text())
     assert report["format"] == "momapos-scan-report"
     looked_at = [item for item in report["objects"] if item["view"] is not None]
@@ -466,7 +461,6 @@ def test_the_method_chooses_the_views_unless_they_are_given(
     )  # fmt: skip
     assert answer.scanning.views == taken
     (target,) = (d for d in answer.modeled.decisions if d.detection.name == name)
-    assert target.view is not None
     assert (target.view.evidence == ()) == (taken == "first")  # the first image asks no others
 
 
@@ -480,14 +474,12 @@ def test_a_detector_locates_objects_for_the_views_of_the_paper_alone(
             height, width = color.shape[:2]
             return [ImageDetection((0.0, 0.0, float(width), float(height)), "fridge", 0.9)]
 
-    assert scan.cloud is not None
     points, normals, colors = (
         a[::20] for a in (scan.cloud.points, scan.cloud.normals, scan.cloud.colors)
     )
     few = replace(scan, frames=scan.frames[:2], cloud=Cloud(points, normals, colors))
     seeing = replace(tools, detect=Seeing())
     located = survey(few, seeing, config=ScanConfig(views="first")).found
-    assert located is not None
     assert set(located) == {frame.name for frame in few.frames}
     assert survey(few, seeing).found is None
     given = {few.frames[0].name: Seeing()(few.frames[0].color)}

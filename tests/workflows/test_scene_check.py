@@ -128,7 +128,6 @@ def test_what_is_normal_in_a_room_is_no_finding() -> None:
 def test_the_built_in_kitchens_have_no_finding(name: str) -> None:
     report = check_scene(load_scene(name), ROBOT)
     assert report.findings == ()
-    assert report.floor is not None
     assert report.floor.is_free
     assert report.floor.reachable_share == 1.0
     assert all(one.has_handle and one.pull and one.base_reaches for one in report.joints)
@@ -291,7 +290,6 @@ def test_a_blocked_start_makes_a_scene_unusable() -> None:
         assert found.severity is Severity.ERROR
         assert report.findings[0] is found
         assert not report.usable
-        assert report.floor is not None
         assert not report.floor.is_free
 
 
@@ -299,7 +297,6 @@ def test_a_room_in_which_the_robot_fits_nowhere_is_unusable() -> None:
     report = check_scene(replace(room(TABLE), floor_polygon=FLOOR / 6), ROBOT)
     (found,) = of_kind(report, FindingKind.START)
     assert "fits nowhere" in found.text
-    assert report.floor is not None
     assert report.floor.start is None
     assert json.dumps(report_to_dict(report), allow_nan=False)
 

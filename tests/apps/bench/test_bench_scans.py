@@ -64,8 +64,6 @@ def test_an_incomplete_scan_is_not_used(
 
 def test_a_task_refers_to_the_object_at_the_same_place_in_the_scan(room: ScannedRoom) -> None:
     opening = room.task("open", "fridge", "door_hinge", 1.0)
-    assert opening is not None
-    assert opening.joint is not None
     truth, found = room.truth.object("fridge"), room.scene.object(opening.object)
     (low, high), middle = found.bounds, np.mean(truth.bounds, 0)
     assert (low < middle).all()
@@ -84,7 +82,6 @@ def test_poses_are_transformed_to_the_scan_and_back(room: ScannedRoom) -> None:
     turned = replace(room, record=replace(room.record, room=(1.0, -2.0, 2.5)))
     pose = np.array([0.3, 0.7, -3.0])
     there = turned.start(pose)
-    assert there is not None
     x, y, yaw = there.tolist()
     assert turned.in_room((x, y, yaw)) == pytest.approx(pose.tolist())
     assert turned.start(None) is None

@@ -123,16 +123,13 @@ def test_of_two_nodes_the_first_finished_row_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_a_run_killed_at_random_moments_loses_no_row_and_repeats_none(
-    tmp_path: Path,
-) -> None:
+def test_a_run_killed_at_random_moments_loses_no_row_and_repeats_none(tmp_path: Path) -> None:
     rng, printed = random.Random(0), []
     path = [*sys.path, str(Path(__file__).parents[3])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path)}
     for kill in range(KILLS + 1):
         command = [sys.executable, RUNNER, str(tmp_path), str(JOBS)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as runner:
-            assert runner.stdout is not None
             assert runner.stdout.readline() == b"begins\n"
             if kill < KILLS:
                 with os.fdopen(os.pidfd_open(runner.pid)) as ended:

@@ -9,14 +9,7 @@ import pytest
 from tests.model.robots.rovers import Axle, rover
 
 from momapos.apps.cli import compile as compiling
-from momapos.apps.cli.compile import (
-    ANSWER,
-    CHECK,
-    RANK,
-    VERIFY,
-    WALKS,
-    compile_once,
-)
+from momapos.apps.cli.compile import ANSWER, CHECK, RANK, VERIFY, WALKS, compile_once
 from momapos.apps.cli.main import main
 from momapos.core.compiled.code_store import Store
 from momapos.core.compiled.entries import ENTRIES

@@ -48,8 +48,6 @@ def test_names_are_printed_where_the_terminal_lacks_their_letters(tmp_path: Path
 def test_a_reader_that_closes_the_output_is_no_error(words: list[str]) -> None:
     command = [sys.executable, "-m", "momapos", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
-        assert running.stdout is not None
-        assert running.stderr is not None
         running.stdout.close()
         assert running.stderr.read() == b""
         assert running.wait() == 0
@@ -154,9 +152,7 @@ def test_a_solved_task_is_status_0_and_its_plan_is_valid(
     assert "VALID" in capsys.readouterr().out
 
 
-def test_an_infeasible_task_is_status_3_with_reasons(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_infeasible_task_is_status_3_with_reasons(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["place", "open", "kitchen_small", "cabinet_right/drawer_bottom_slide"]
     assert main([*words, "--robot", "segway_ur5e"]) == 3
     shown = capsys.readouterr().out

@@ -83,11 +83,9 @@ def test_a_plan_opens_the_fridge_and_the_record_reports_it(
     assert shown["success"]
     assert record.success
     assert not record.noise
-    assert record.execution is not None
     assert record.execution.reached == pytest.approx(TO, rel=0.05)
     last = record.visits[-1]
     assert last.arrived
-    assert last.clearance is not None
     assert last.clearance > 0
     assert record.driven >= np.hypot(*(np.array(last.reached) - START)[:2])
     assert np.hypot(*np.subtract(last.reached, last.planned)[:2]) < 0.02
@@ -119,7 +117,6 @@ def test_an_exact_run_reports_and_writes_its_record(
     assert json.loads(capsys.readouterr().out)["exact"] is True
     record = read_run(out)
     assert record.exact
-    assert record.motion is not None
     np.testing.assert_allclose(record.motion.bases[0], plan.start, atol=1e-3)
     assert record.visits[0].planned == plan.base_pose
 
@@ -177,8 +174,6 @@ def test_the_drawn_furniture_does_not_depend_on_the_drive(
         return ended(start, goal, goal)
 
     one, other = run(near).execution, run(far).execution
-    assert one is not None
-    assert other is not None
     assert one.resistance == other.resistance
 
 
@@ -215,7 +210,6 @@ def test_a_motion_for_one_base_pose_passes_the_exact_check(
     robot = load_robot("segway_ur5e")
     base = np.array(plan.base_pose)
     found = check_base_pose(kitchen, robot, plan.task, base, Everywhere()).motion
-    assert found is not None
     x, y, yaw = base.tolist()
     assert PlanVerifier(kitchen, robot, plan.task).check((x, y, yaw), found).valid
     tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
@@ -402,7 +396,6 @@ def test_a_start_in_collision_is_refused(
 
 def at_base(plan: PlacementPlan, base: tuple[float, float, float]) -> PlacementPlan:
     """Return a plan with the same motion of the arm at another base pose, without a base path."""
-    assert plan.motion is not None
     T = pose_planar(np.array(base)) @ invert(pose_planar(np.array(plan.base_pose)))
     motion = replace(plan.motion, Ts_world_tool=T @ plan.motion.Ts_world_tool)
     return replace(plan, base_pose=base, base_path=None, motion=motion)
@@ -419,7 +412,6 @@ def test_from_an_unreachable_base_pose_the_run_goes_on_to_the_next_one(
 def test_a_blocked_in_base_fails_with_that_reason(
     plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert kitchen.path is not None
     room = json.loads(kitchen.path.read_text())
     models = "kitchen_small_urdf"
     shutil.copytree(kitchen.path.parent / models, tmp_path / models)

@@ -78,7 +78,6 @@ def test_a_phase_begins_where_the_previous_one_ends(phases: tuple[Phase, ...]) -
 def test_a_door_moves_only_while_the_gripper_is_closed(
     plan: PlacementPlan, phases: tuple[Phase, ...]
 ) -> None:
-    assert plan.motion is not None
     assert kinds(phases) == ["drive", "arm", "close_gripper", "arm", "open_gripper"]
     assert np.allclose(phases[0].base[-1], plan.base_pose)
     assert np.ptp(phases[1].object_q) == 0.0
@@ -115,7 +114,6 @@ def test_a_drive_across_the_axes_keeps_speed_and_acceleration(
 
 def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, robot: Robot) -> None:
     motion = plan.motion
-    assert motion is not None
     last = len(motion.q) - 1
     middle = last // 2
     object_q = motion.object_q.copy()
@@ -162,8 +160,6 @@ def test_ros_goals_match_the_plan(
     out = tmp_path / "goals.json"
     assert main(["export", str(plan_file), "--to", "ros2", "--out", str(out)]) == 0
     content = json.loads(out.read_text())
-    assert plan.base_pose is not None
-    assert plan.motion is not None
     pose = content["base_pose"]["pose"]
     assert content["base_pose"]["header"]["frame_id"] == "map"
     assert (pose["position"]["x"], pose["position"]["y"]) == plan.base_pose[:2]
@@ -202,8 +198,6 @@ def test_an_independent_reader_finds_the_plan_in_a_recording(
         "/robot_description", "/scene", "/base_path", "/trajectory", "/joint_states", "/base_pose",
         "/tf",
     }  # fmt: skip
-    assert plan.motion is not None
-    assert plan.base_pose is not None
     assert list(found["/joint_states"][0].name) == list(plan.joints)
     assert np.allclose(found["/joint_states"][-1].position, plan.motion.q[-1])
     stands = found["/base_pose"][-1].pose.position
@@ -279,7 +273,6 @@ def test_a_carried_object_is_attached_at_its_pose_in_the_hand(
         held, cup = said["object"], kitchen.object("cup")
         at, turn = held["pose"]["position"], held["pose"]["orientation"]
         T_tool_object = pose_wxyz(tuple(at[k] for k in "xyz"), tuple(turn[k] for k in "wxyz"))
-        assert plan.motion is not None
         T = plan.motion.Ts_world_tool[0] @ T_tool_object
         assert np.allclose(T, cup.T_world_object, atol=TOLERANCE)
         count = sum(len(link.collisions) for link in cup.model.urdf.links.values())
@@ -335,7 +328,6 @@ def test_the_default_output_is_next_to_the_plan(
 
 def test_a_plan_that_starts_at_the_grasp_can_be_exported(plan: PlacementPlan, robot: Robot) -> None:
     motion = plan.motion
-    assert motion is not None
     there = replace(motion, approach=motion.approach[:0])
     phases = phases_of(replace(plan, motion=there, base_path=None), robot)
     assert kinds(phases) == ["close_gripper", "arm", "open_gripper"]

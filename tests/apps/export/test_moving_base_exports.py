@@ -53,8 +53,6 @@ def test_phases_name_the_drive_and_begin_where_the_last_one_ends(name: str, tmp_
             np.testing.assert_allclose(
                 getattr(before, key)[-1], getattr(after, key)[0], atol=1e-6, err_msg=key
             )
-    assert plan.motion is not None
-    assert plan.motion.base is not None
     np.testing.assert_allclose(phases[0].base[0], plan.base_pose, atol=1e-9)
     np.testing.assert_allclose(phases[-1].base[-1], plan.motion.base[-1], atol=1e-6)
     for phase in phases:
@@ -67,7 +65,6 @@ def test_phases_name_the_drive_and_begin_where_the_last_one_ends(name: str, tmp_
 @pytest.mark.parametrize("name", CASES)
 def test_the_hand_follows_the_handle_by_base_and_arm(name: str, tmp_path: Path) -> None:
     _, plan, phases = made(tmp_path, name)
-    assert plan.motion is not None
     points = plan.motion.Ts_world_tool[:, :3, 3]
     for phase in phases:
         hand = (pose_planar(phase.base) @ chain().tool_poses(phase.positions))[:, :3, 3]
@@ -100,8 +97,6 @@ def test_ros2_has_one_goal_for_base_and_arm_with_one_clock(tmp_path: Path) -> No
         [t["sec"] + 1e-9 * t["nanosec"] for t in (p["time_from_start"] for p in base["points"])]
     )
     turned = np.trapezoid([twist["angular"]["z"] for twist in twists], times)
-    assert plan.motion is not None
-    assert plan.motion.base is not None
     assert turned == pytest.approx(np.ptp(plan.motion.base[:, 2]), abs=1e-3)
 
 
@@ -109,7 +104,6 @@ def test_ros2_has_a_drive_for_the_second_stop(tmp_path: Path) -> None:
     ready, plan, phases = made(tmp_path, "stops")
     steps = messages(plan, phases, ready.robot, "map")["steps"]
     (drive,) = [step for step in steps if step["action"].endswith("NavigateToPose")]
-    assert plan.final_base_pose is not None
     position = drive["goal"]["pose"]["pose"]["position"]
     assert (position["x"], position["y"]) == pytest.approx(plan.final_base_pose[:2])
     assert len(drive["path"]["poses"]) == 15
@@ -122,11 +116,9 @@ def test_tables_and_bags_have_the_moving_base(tmp_path: Path) -> None:
     write_csv(timeline, tmp_path / "a.csv")
     with (tmp_path / "a.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert plan.final_base_pose is not None
     last = [float(rows[-1][key]) for key in ("base_x", "base_y", "base_yaw")]
     assert last == pytest.approx(plan.final_base_pose, abs=1e-6)
     assert "2_drive_and_arm" in {row["phase"] for row in rows}
-    assert timeline.base_path is not None
     np.testing.assert_allclose(timeline.base_path[-1], plan.final_base_pose, atol=1e-9)
     optional.module("rosbags")
     write_recording(timeline, ready.scene, ready.robot, "map", tmp_path / "bag")
@@ -144,7 +136,6 @@ def test_the_page_plays_the_base_with_the_arm(tmp_path: Path) -> None:
 
 def test_a_plan_at_one_base_pose_is_exported_as_before(tmp_path: Path) -> None:
     ready, plan, _ = made(tmp_path, "moving")
-    assert plan.motion is not None
     still = replace(plan, motion=replace(plan.motion, base=None))
     content = messages(still, phases_of(still, ready.robot), ready.robot, "map")
     assert content["version"] == 1

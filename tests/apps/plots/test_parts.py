@@ -105,7 +105,6 @@ def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() ->
     motion = task_motion(scene, robot, make_task(scene, "pick", "cup"), MotionConfig())
     geometry = placement_geometry(scene, robot, motion, clearance=0.01)
     potential = potential_map(geometry, Always(), cell=0.2)
-    assert potential is not None
     i, j = np.indices(potential.value.shape).reshape(2, -1)
     xy = potential.low + 0.2 * (np.stack([j, i], -1) + 0.5)
     yaw = np.tile(2 * np.pi / YAWS * np.arange(YAWS), len(xy))

@@ -166,7 +166,6 @@ def ahead(page: Page, distance: float) -> np.ndarray:
 def pick_in_the_view(page: Page, tab: Tab) -> None:
     """Click two objects, at points that nothing else covers."""
     scene = page.shown.scene
-    assert scene is not None
     tab.set_viewport_size(SIZE)  # type: ignore[arg-type]
     (client,) = page.server.get_clients().values()
     assert until(lambda: client.camera.image_height == SIZE["height"])
@@ -199,7 +198,6 @@ def test_a_user_plans_drags_plays_and_reloads(
     for one in (tab, other):  # both see the answer
         one.get_by_text("Solved").wait_for(timeout=LONG)
     answer = page.shown.answer
-    assert answer is not None
     assert answer.plan.task.object == "fridge"
     np.testing.assert_allclose(page.robot.base, answer.plan.base_pose)
 
@@ -239,8 +237,6 @@ def test_a_user_plans_drags_plays_and_reloads(
 def look_at_a_candidate(page: Page, client: Any) -> np.ndarray:
     """Turn a browser's camera to a candidate that nothing covers; return its position [m]."""
     scene, above = page.shown.scene, np.array([0.0, -0.5, 1.5])
-    assert scene is not None
-    assert scene.floor_polygon is not None
     node = page.server.scene.get_handle_by_name("/layers/candidates/all")
     points = np.array(node.batched_positions)  # type: ignore[union-attr]
     objects = np.array([item.bounds for item in scene.objects])
@@ -266,7 +262,6 @@ def test_a_clicked_candidate_shows_its_outcome_and_the_speed_can_be_chosen(
     page.place()
     assert page.work.wait(LONG / 1000)
     answer = page.shown.answer
-    assert answer is not None
     tab = opened(address)
     choose(tab, "Speed", "4")
     assert until(lambda: page.motion.player.speed == 4.0)
@@ -413,13 +408,10 @@ class Faster:
 
 
 def test_a_written_page_plays_without_a_network(
-    site: tuple[Page, str],
-    browser: Browser,
-    tmp_path: Path,
+    site: tuple[Page, str], browser: Browser, tmp_path: Path
 ) -> None:
     page, _ = site
     answer = page.shown.answer
-    assert answer is not None
     plan, robot = answer.plan, answer.prepared.robot
     story = Faster(Story.of(plan, robot, answer.prepared.scene))
     write_page(answer.prepared.scene, robot, plan, tmp_path / "page.html", story=story)

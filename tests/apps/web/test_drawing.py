@@ -87,9 +87,6 @@ def test_a_layer_of_an_outdated_answer_is_removed(
 ) -> None:
     answer = page.shown.answer
     scene, arms = page.shown.scene, page.shown.arms
-    assert answer is not None
-    assert scene is not None
-    assert arms is not None
 
     def answered_meanwhile(layers: Any, name: str, of: Any, clock: Any) -> None:
         del of, clock
@@ -110,9 +107,7 @@ def test_a_layer_of_an_outdated_answer_is_removed(
 
 def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page) -> None:
     answer = page.shown.answer
-    assert answer is not None
     found = answer.plan.tolerance
-    assert found is not None
     assert page.panel.card.shown == answer_card(answer)
     assert f"±{100 * found.radius:g} cm" in page.panel.card.text
     cover = page.server.scene.get_handle_by_name("/layers/tolerance/cover")
@@ -128,7 +123,6 @@ def test_the_tolerance_is_measured_after_the_answer_and_saved_with_it(page: Page
 
 def test_the_tolerance_of_an_outdated_answer_is_not_shown(page: Page) -> None:
     answer = page.shown.answer
-    assert answer is not None
     before = replace(answer, plan=replace(answer.plan, tolerance=None))
     said = page.panel.card.shown
     page.layers.use_tolerance(before, before)
@@ -144,7 +138,6 @@ def test_the_tolerance_of_an_outdated_answer_is_not_shown(page: Page) -> None:
 
 def test_a_finding_for_an_outdated_question_is_not_shown(page: Page) -> None:
     probe = page.follow._probe()
-    assert probe is not None
     page.shown.probe = None  # the question has changed
     words, base = page.panel.card.text, page.robot.base.copy()
     page.follow._show(probe.at(base, time.perf_counter), probe, 0.1)

@@ -29,16 +29,13 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 @pytest.mark.parametrize(("name", "joint"), PARTS)
 def test_every_value_of_the_slider_is_within_the_joint_limits(name: str, joint: str) -> None:
     offered, record = how_far(KITCHEN, "open", f"{name}/{joint}"), KITCHEN.object(name).joint(joint)
-    assert offered is not None
     assert offered.unit == ("cm" if record.kind == "prismatic" else "deg")
     factor = 0.01 if offered.unit == "cm" else math.radians(1.0)
     assert record.lower - 1e-6 <= factor * offered.low < factor * offered.high
     assert factor * offered.high <= record.upper + 1e-6
     usual = make_task(KITCHEN, "open", name, joint).to
-    assert usual is not None
     assert factor * offered.usual == pytest.approx(usual, abs=0.1 * factor)
     farthest = make_task(KITCHEN, "open", name, joint, offered.text(offered.high) or None).to
-    assert farthest is not None
     assert abs(farthest) >= abs(usual) - 0.1 * factor
 
 

@@ -182,9 +182,7 @@ def test_a_program_of_another_version_is_refused_without_a_word(
 
 
 def test_hostile_messages_leave_no_traceback_and_the_page_goes_on_planning(
-    site: tuple[Page, str],
-    capsys: pytest.CaptureFixture[str],
-    caplog: pytest.LogCaptureFixture,
+    site: tuple[Page, str], capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     page, address = site
     rng = random.Random(3)

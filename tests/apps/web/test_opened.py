@@ -50,7 +50,6 @@ def test_a_run_is_shown_as_recorded(robots: Callable[[str], Robot]) -> None:
     yaw = story.at(0.5).base[2]  # across the shorter angle
     assert np.cos(yaw) == pytest.approx(-1.0, abs=1e-6)
     now = story.at(1.0)
-    assert now.force is not None
     assert (now.phase, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
 
 
@@ -61,7 +60,6 @@ def test_a_movable_object_moves_along(robots: Callable[[str], Robot]) -> None:
     record = replace(RECORD, task=Task("pick", "cup"), motion=motion)
     moment = RunStory.of(record, robots("segway_ur5e")).at(3.0)
     T = moment.T_world_object
-    assert T is not None
     np.testing.assert_allclose(T[:3, 3], [0.5, 0.0, 1.2])
     np.testing.assert_allclose(T[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
     assert moment.object_q == {}
@@ -136,9 +134,7 @@ def test_a_solve_folder_is_shown_by_its_run_or_else_by_its_plan(tmp_path: Path) 
     assert source_in(str(tmp_path)) == str(tmp_path / "run.json")
 
 
-def test_a_page_of_a_run_in_another_world_shows_that_world(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_a_page_of_a_run_in_another_world_shows_that_world(robots: Callable[[str], Robot]) -> None:
     scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
     plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
     other = replace(plan, task=replace(plan.task, object="what the robot took it for"))

@@ -51,12 +51,10 @@ def test_a_partly_feasible_base_pose_has_the_farthest_value(probe: Probe) -> Non
             partly.append((base, found))
     assert partly
     base, found = partly[0]
-    assert found.motion is not None
     assert found.value in probe.values[:-1]
     assert found.motion.object_q[-1] == pytest.approx(found.value)
     farther = check_base_pose(probe.scene, probe.robot, probe.task, base, probe.reach)
     assert farther.motion is None
-    assert farther.farthest is not None
     assert farther.farthest >= found.value - 0.02  # whole degrees differ from the waypoints
 
 

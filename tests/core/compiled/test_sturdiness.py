@@ -114,10 +114,8 @@ def test_two_processes_can_fill_one_store_concurrently(tmp_path: Path) -> None:
         for _ in range(2)
     ]
     for one in both:
-        assert one.stdout is not None
         assert one.stdout.readline() == "ready\n"
     for one in both:
-        assert one.stdin is not None
         one.stdin.write("go\n")
         one.stdin.flush()
     for one in both:

@@ -13,12 +13,7 @@ from tests.model.collision.exact_hulls import HullPairs, random_boxes, random_st
 
 from momapos.core.geometry.transforms import invert, pose, pose_planar
 from momapos.model.collision.arm_collision import FINGER, FLOOR, FREE, PALM, SELF, check_states
-from momapos.model.collision.collision_world import (
-    CELL,
-    CollisionWorld,
-    build_world,
-    check,
-)
+from momapos.model.collision.collision_world import CELL, CollisionWorld, build_world, check
 from momapos.model.collision.sphere_cover import BODY
 from momapos.model.collision.spheres import MARGIN, Spheres, box_spheres, carry
 from momapos.model.kinematics.chain import Chain, chain_arrays

@@ -30,7 +30,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
     robot = load_robot("segway_ur5e")
     urdf = robot.model.urdf.path
-    assert urdf is not None
     pairs = "".join(
         f'<disable_collisions link1="{a}" link2="{b}" reason="Always"/>'
         for a, b in map(sorted, robot.disabled)

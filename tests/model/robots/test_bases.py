@@ -64,7 +64,6 @@ DRIVES: dict[str, tuple[list[Axle], str, str]] = {
 def test_the_drive_follows_from_axles_and_steering(tmp_path: Path, name: str) -> None:
     axles, drive, words = DRIVES[name]
     guess = guess_of(tmp_path, rover(axles))
-    assert guess is not None
     assert guess.drive == drive
     assert words in guess.why
     robot, said = derived(tmp_path, rover(axles))

@@ -31,21 +31,17 @@ def base_place(robot: Robot) -> np.ndarray:
 def test_the_turning_radius_is_that_of_ackermann_steering(tmp_path: Path, turn: float) -> None:
     # The axles meet on the rear axle; the inner wheel is steered most.
     car = guess_of(tmp_path, rover(at(REAR) + at(FRONT, steering=turn)))
-    assert car is not None
     assert car.wheelbase == pytest.approx(0.4)
     assert car.radius == pytest.approx(0.2 + 0.4 / math.tan(turn))
     tricycle = guess_of(tmp_path, rover([*at(REAR), Axle((0.2, 0.0), steering=turn)]))
-    assert tricycle is not None
     assert tricycle.radius == pytest.approx(0.4 / math.tan(turn))
     every = guess_of(tmp_path, rover(at(CORNERS, steering=turn)))
-    assert every is not None
     assert every.radius == pytest.approx(0.2 + 0.2 / math.tan(turn))
 
 
 def test_the_side_that_steers_less_counts(tmp_path: Path) -> None:
     text = rover(at(REAR) + at(FRONT, steering=0.5)).replace('upper="0.5"', 'upper="0.3"')
     guess = guess_of(tmp_path, text)
-    assert guess is not None
     assert guess.radius == pytest.approx(0.2 + 0.4 / math.tan(0.3))
 
 
@@ -68,7 +64,6 @@ def test_the_base_link_is_on_the_floor_at_the_middle_of_the_fixed_axle(
     assert_allclose(robot.model.rest_poses[robot.base_link][:3, :3], np.eye(3), atol=1e-6)
     assert "middle of the fixed axle" in said or x == 0.0
     guess = guess_of(tmp_path, rover(axles))
-    assert guess is not None
     assert guess.radius <= robot.min_turning_radius <= guess.radius + 0.001
     assert [doubt for doubt in examine(robot) if "degrees of freedom" not in doubt] == []
 

@@ -117,7 +117,6 @@ def test_rotating_fingers_open_to_less_than_they_can(
 ) -> None:
     robot = derived(tmp_path, turning(*ends))
     narrow = opened_to(robot, round(0.8 * robot.opening, 3))
-    assert narrow is not None
     hand, ends = hand_of(narrow), [side[side[:, 0].argmax(), 1] for side in tips(narrow)]
     assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(0.8 * robot.opening, abs=2e-3)
     assert hand.rest == pytest.approx(0.0, abs=2e-3)
@@ -132,7 +131,6 @@ def test_a_finger_that_follows_the_other_opens_with_it(tmp_path: Path) -> None:
     text = text[:at] + '<mimic joint="left_finger_joint" multiplier="1"/>' + text[at:]
     robot = derived(tmp_path, text)
     narrow = opened_to(robot, 0.05)
-    assert narrow is not None
     changed = {n for n, v in narrow.model.held.items() if v != robot.model.held.get(n, 0.0)}
     assert changed == {"left_finger_joint"}
     assert hand_of(narrow).inner(1)[0] == pytest.approx(0.025, abs=1e-4)
@@ -197,9 +195,7 @@ def test_a_jaw_that_closes_on_a_fixed_one_is_a_gripper(tmp_path: Path, side: int
     assert hand.closed_to(np.array([0.03]))[0] == pytest.approx(0.05, abs=4e-3)
 
 
-def test_a_jaw_closes_on_a_fixed_jaw_in_the_last_link_of_the_arm(
-    tmp_path: Path,
-) -> None:
+def test_a_jaw_closes_on_a_fixed_jaw_in_the_last_link_of_the_arm(tmp_path: Path) -> None:
     text = one_jaw(1)
     for name in ("palm", "fixed_jaw"):
         text = re.sub(f'<link name="{name}">.*?</link>', "", text)
@@ -241,9 +237,7 @@ def test_leaning_tips_become_pads_that_face_the_object(tmp_path: Path, turn: str
     assert_allclose(np.abs(along).max(1), 1.0)
 
 
-def test_hand_links_that_touch_at_rest_are_not_checked(
-    tmp_path: Path,
-) -> None:
+def test_hand_links_that_touch_at_rest_are_not_checked(tmp_path: Path) -> None:
     text = sliding("0").replace('size="0.04 0.01 0.02"', 'size="0.04 0.06 0.02"')
     text = text.replace('upper="0.04"', 'upper="1e-6"')
     disabled = derived(tmp_path, text).disabled

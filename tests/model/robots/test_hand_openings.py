@@ -28,7 +28,6 @@ def whole(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Rob
 def test_the_pads_of_a_hand_are_as_far_apart_as_asked(whole: Robot) -> None:
     for width in (0.03, 0.061, 0.078):
         robot = opened_to(whole, width)
-        assert robot is not None
         hand = hand_of(robot)
         assert hand.inner(1)[0] - hand.inner(-1)[0] == pytest.approx(width, abs=1e-5)
         assert hand.rest == pytest.approx(0.0, abs=1e-5), "it rests there"
@@ -37,7 +36,6 @@ def test_the_pads_of_a_hand_are_as_far_apart_as_asked(whole: Robot) -> None:
 
 def test_only_the_fingers_rest_elsewhere(whole: Robot) -> None:
     robot = opened_to(whole, 0.05)
-    assert robot is not None
     before, after = whole.model.rest_poses, robot.model.rest_poses
     moved = {link for link, T in before.items() if np.abs(T - after[link]).max() > 1e-9}
     fingers = {link for link in moved if whole.model.hulls[link]}
@@ -49,7 +47,6 @@ def test_only_the_fingers_rest_elsewhere(whole: Robot) -> None:
 
 def test_planner_and_exact_check_see_the_same_hand(whole: Robot) -> None:
     robot = opened_to(whole, 0.05)
-    assert robot is not None
     old, new = whole.spheres, robot.spheres
     one, other = (robot_collision_model(r) for r in (whole, robot))
     q = np.zeros((1, len(one.joints)))
@@ -62,14 +59,12 @@ def test_planner_and_exact_check_see_the_same_hand(whole: Robot) -> None:
 
 def test_a_hand_that_is_less_open_has_the_map_of_the_robot(whole: Robot) -> None:
     robot = opened_to(whole, 0.05)
-    assert robot is not None
     config = default_config(whole)
     assert map_key(robot, config) == map_key(whole, config)
 
 
 def test_a_plan_tells_how_far_the_hand_is_open(whole: Robot) -> None:
     robot = opened_to(whole, 0.061)
-    assert robot is not None
     again = opened_as(whole, robot.model.held)
     assert again.model.rest == robot.model.rest
     assert again.opening == pytest.approx(0.061, abs=1e-4)

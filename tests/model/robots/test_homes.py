@@ -253,9 +253,7 @@ def test_where_no_homes_are_accepted_those_farthest_from_contact_are_taken_and_i
     assert "at least 20 mm from contact, too near for planning, at 100 %" in said[0]
 
 
-def test_further_candidates_for_a_home_are_elsewhere(
-    tmp_path: Path,
-) -> None:
+def test_further_candidates_for_a_home_are_elsewhere(tmp_path: Path) -> None:
     robot = load_robot(written(tmp_path, mobile_manipulator()))
     q = sample_states(robot.chain, np.random.default_rng(0))
     body = RobotBody(robot.footprint, 1.0)

@@ -343,10 +343,7 @@ PARTS = {
         Part(FETCH, ["r_gripper_finger_link"], "gripper_link", "gripper_link", moved(y=0.05)),
         Part(FETCH, ["l_gripper_finger_link"], "gripper_link", "gripper_link", moved(y=-0.05)),
     ],
-    "segway_ur5e": [
-        Part(SEGBOT, _SEGBOT, "base_link", "chassis_link"),
-        *_UR5E,
-    ],
+    "segway_ur5e": [Part(SEGBOT, _SEGBOT, "base_link", "chassis_link"), *_UR5E],
     # The Husky's own collision shapes are a box and cylinders; its meshes are the visual ones.
     "husky_ur5e": [Part(HUSKY, _HUSKY, "base_link", "chassis_link", tag="visual"), *_UR5E],
     "mobile_panda": [
@@ -658,8 +655,6 @@ def test_pairs_with_reason_never_have_no_contact_in_random_states(robot: Robot) 
 def shared_reader() -> ModuleType:
     path = optional.there(SCENE_IO, "independent checker")
     spec = importlib.util.spec_from_file_location("shared_scene_io", path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -85,7 +85,6 @@ def test_the_zero_moment_point_balances_all_moments_about_an_edge(robots: Robots
     assert far.refused[0]
     assert far.where[0] == BASE
     worst = loads.worst(far, "waypoint 3")
-    assert worst is not None
     assert worst.status is PoseStatus.TIPS_OVER
     assert str(worst) == "husky_ur5e would tip over at waypoint 3"
 
@@ -110,7 +109,6 @@ def test_wheels_outline_the_support_and_an_axle_does_not(robots: Robots) -> None
         robot = robots(name)
         links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
         outline = support_outline(robot.model, robot.base_link, links)
-        assert outline is not None
         assert len(outline) == corners
         assert contains(outline, outline.mean(0, keepdims=True)).all()
         axle = [link for link in links if link in ("left_wheel_link", "right_wheel_link")]
@@ -123,7 +121,6 @@ def test_a_drive_unit_that_turns_supports_a_circle_within_its_wheels(robots: Rob
     robot = robots("hsr")
     links = [link for link, segment in robot.segments.of_link.items() if segment == 0]
     outline = support_outline(robot.model, robot.base_link, links)
-    assert outline is not None
     wheels = np.array([[-0.11, -0.133], [-0.11, 0.133], [0.1495, 0.055], [0.1495, -0.055]])
     for yaw in np.linspace(0, 2 * np.pi, 9):
         c, s = np.cos(yaw), np.sin(yaw)
@@ -151,7 +148,6 @@ def test_a_weak_motor_is_named_with_what_it_needs(tmp_path: Path) -> None:
     loads = robot_loads(robot)
     out = loads.at(np.array([[0.0, -0.3, 0.3, 0.0, 0.0, 0.0]]))
     worst = loads.worst(out, "the pre-grasp")
-    assert worst is not None
     assert worst.summary == "shoulder_lift_joint needs more than its effort limit"
     assert str(worst).endswith("of 10 Nm at the pre-grasp")
     need = abs(out.efforts[0, 1])

@@ -65,12 +65,10 @@ def test_the_base_pose_respects_the_areas_and_the_plan_contains_them(
     question = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
     assert main([*question, "--out", str(tmp_path / "free.json")]) == 0
     free = read_plan(tmp_path / "free.json")
-    assert free.base_pose is not None
     x, y, _ = free.base_pose
     area = f"{x - 0.2},{y - 0.2} {x + 0.2},{y - 0.2} {x + 0.2},{y + 0.2} {x - 0.2},{y + 0.2}"
     assert main([*question, "--keep-out", area, "--out", str(tmp_path / "plan.json")]) == 0
     plan = read_plan(tmp_path / "plan.json")
-    assert plan.base_pose is not None
     assert plan.region.keep_out == (find_area(area, kitchen, "--keep-out"),)
     assert max(abs(plan.base_pose[0] - x), abs(plan.base_pose[1] - y)) > 0.2
     capsys.readouterr()

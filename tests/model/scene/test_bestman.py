@@ -65,9 +65,7 @@ def test_object_bounds_match_the_engine(pair: tuple[Scene, dict]) -> None:
             assert_allclose(item.bounds, truth[item.name]["aabb"], atol=TOLERANCE)
 
 
-def test_joints_match_the_engine(
-    pair: tuple[Scene, dict],
-) -> None:
+def test_joints_match_the_engine(pair: tuple[Scene, dict]) -> None:
     scene, truth = pair
     for item in scene.objects:
         poses = item.link_poses()
@@ -84,9 +82,7 @@ def test_joints_match_the_engine(
             assert_allclose(T[:3, 3], row["world_origin"], atol=TOLERANCE)
 
 
-def test_bounds_of_moving_parts_and_handles_match_the_engine(
-    pair: tuple[Scene, dict],
-) -> None:
+def test_bounds_of_moving_parts_and_handles_match_the_engine(pair: tuple[Scene, dict]) -> None:
     scene, truth = pair
     for item in scene.objects:
         for row in truth[item.name].get("joints", []):

@@ -33,7 +33,6 @@ def test_confidences_of_parts_are_read_by_joint(tmp_path: Path) -> None:
     joint = next(iter(door.model.joints))
     path = tmp_path / "s.json"
     entry = {"name": "f", "category": "fridge", "pose": {"xyz": [0, 0, 0]}, "urdf": "f.urdf"}
-    assert door.model.urdf.path is not None
     (tmp_path / "f.urdf").write_bytes(door.model.urdf.path.read_bytes())
     sure = {"object": 0.5, "label": 1, "joints": {joint: 0.7}, "handles": {joint: 0.25}}
     head = {"format": "momapos-scene", "version": 1, "name": "room"}

@@ -236,7 +236,6 @@ def test_a_slide_has_a_catch_and_friction_and_lifts_its_tray_where_it_is_tilted(
     down = item.T_world_object.copy()
     down[:3, :3] = [[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]]
     mass = known_resistance(item, "slide", CONFIG).mass
-    assert mass is not None
     tilted = resistance_along(replace(item, T_world_object=down), "slide", values, 1.0, CONFIG)
     np.testing.assert_allclose(tilted.weight, mass * GRAVITY * 0.6, rtol=1e-4)
 

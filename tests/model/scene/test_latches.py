@@ -55,7 +55,6 @@ def test_a_latch_is_written_and_read_again(tmp_path: Path, kind: str) -> None:
 def test_the_held_joint_is_the_one_that_moves_the_latch(tmp_path: Path, to: float | str) -> None:
     scene = load_scene(written(tmp_path, {"joint": "turn", "to": to}))
     latch = scene.object("cupboard").latch
-    assert latch is not None
     assert (latch.joint, latch.holds) == ("turn", "hinge")
     assert latch.to == pytest.approx(-0.7)
 

@@ -149,7 +149,6 @@ def test_a_floor_of_the_scene_wins(tmp_path: Path) -> None:
     write_map(tmp_path, apartment())
     floor = [[-1, 2], [0, 2], [0, 3], [-1, 3]]
     scene = load_scene(furnished(tmp_path, objects="", floor=floor))
-    assert scene.floor_polygon is not None
     assert_allclose(scene.floor_polygon, floor)
     assert len(scene.objects) > 3
 

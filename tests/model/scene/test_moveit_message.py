@@ -105,7 +105,6 @@ def test_shapes_stand_in_their_frames(tmp_path: Path) -> None:
     assert_allclose(scene.object("ball").bounds.mean(0), [0.2, 2.4, 0.85], atol=2e-3)
     assert_allclose(scene.object("crate").bounds, [[0.9, 2.8, 0], [1.1, 3.2, 0.2]], atol=1e-6)
     assert_allclose(scene.object("wedge").bounds, [[0, 0, 1], [0.3, 0.2, 1.1]], atol=1e-9)
-    assert scene.start is not None
     assert_allclose(scene.start[:2], [-1, 1])
     assert_allclose(abs(scene.start[2]), np.pi)
 
@@ -224,7 +223,6 @@ def test_published_planning_problems_are_read_whole(tmp_path: Path) -> None:
         assert len(found) == 7
         for member in found:
             content = file.extractfile(member)
-            assert content is not None
             folder = tmp_path / Path(member.name).parent.name
             folder.mkdir()
             text = content.read().decode()

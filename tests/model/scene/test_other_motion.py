@@ -129,9 +129,7 @@ def believed(folder: Path) -> Scene:
     return save_scene(Scene("room", (item,)), folder / "room.json")
 
 
-def test_a_chosen_hypothesis_rules_out_more_probable_ones_and_is_recorded(
-    tmp_path: Path,
-) -> None:
+def test_a_chosen_hypothesis_rules_out_more_probable_ones_and_is_recorded(tmp_path: Path) -> None:
     scene = believed(tmp_path)
     taken = scene_with_hypothesis(scene, "cupboard", "hinge", 1)
     item = taken.object("cupboard")
@@ -147,9 +145,7 @@ def test_a_chosen_hypothesis_rules_out_more_probable_ones_and_is_recorded(
     np.testing.assert_allclose(points(last.object("cupboard"), {"hinge": 0.2}), expected, atol=1e-9)
 
 
-def test_a_scene_with_a_chosen_hypothesis_is_saved_with_the_learned_motion(
-    tmp_path: Path,
-) -> None:
+def test_a_scene_with_a_chosen_hypothesis_is_saved_with_the_learned_motion(tmp_path: Path) -> None:
     scene = believed(tmp_path)
     taken = scene_with_hypothesis(scene, "cupboard", "hinge", 1)
     out = tmp_path / "elsewhere" / "learned.json"

@@ -70,7 +70,6 @@ def test_walls_along_the_floor_leave_it_free_and_close_it(kind: str, tmp_path: P
 
 
 def in_wall(item: SceneObject, point: np.ndarray) -> bool:
-    assert item.wall is not None
     x, y = item.T_world_object[:2, :2].T @ (point - item.T_world_object[:2, 3])
     return bool(abs(x) <= item.wall.length / 2 + 1e-9 and abs(y) <= item.wall.thickness / 2 + 1e-9)
 

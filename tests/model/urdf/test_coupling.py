@@ -141,7 +141,6 @@ def test_an_amended_urdf_contains_the_couplings(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(telescope(mimics=False))
     text = Amendments(coupled=FOLLOWS).text(path)
-    assert text is not None
     path.write_text(text)
     again = read_urdf(path)
     tied = tied_model(telescope(mimics=False), tmp_path, FOLLOWS)

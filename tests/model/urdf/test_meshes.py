@@ -14,12 +14,7 @@ import pytest
 
 from momapos.core.errors import UrdfError
 from momapos.model.urdf.hulls import hull_of
-from momapos.model.urdf.meshes import (
-    MAX_MESH_BYTES,
-    mesh_points,
-    mesh_triangles,
-    surface_vertices,
-)
+from momapos.model.urdf.meshes import MAX_MESH_BYTES, mesh_points, mesh_triangles, surface_vertices
 from momapos.model.urdf.urdf_records import Geometry
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)

@@ -49,10 +49,7 @@ def frames() -> list[Frame]:
             f'[{{"image_id": 0, "category_id": 1, "bbox": [1, 2, 3, 1{"0" * 400}], "score": 1}}]',
             "too large",
         ),
-        (
-            '[{"image_id": [[]], "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]',
-            "an integer",
-        ),
+        ('[{"image_id": [[]], "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]', "an integer"),
         ('[{"image_id": "x", "category_id": 1, "bbox": [1, 2, 3, 4], "score": 1}]', "image_id"),
     ],
 )

@@ -72,7 +72,6 @@ def test_a_scene_has_every_detection_in_its_box_and_its_models_open(tmp_path: Pa
         np.testing.assert_allclose(low, [0.0, -out_of_front, 0.0], atol=1e-3)
         np.testing.assert_allclose(high, 0.0, atol=1e-3)
     assert list(scene.object("fridge").model.joints) == ["door_hinge"]
-    assert scene.floor_polygon is not None
     np.testing.assert_allclose(scene.floor_polygon, FLOOR)
     np.testing.assert_allclose(scene.start, (1.0, -2.0, 0.5))
 

@@ -19,9 +19,7 @@ def wood() -> np.ndarray:
     return np.clip(70.0 + grain, 0, 255)[..., None].repeat(3, axis=-1).astype(np.uint8)
 
 
-def test_heights_are_relative_to_the_fronts_and_not_to_the_box(
-    wood: np.ndarray,
-) -> None:
+def test_heights_are_relative_to_the_fronts_and_not_to_the_box(wood: np.ndarray) -> None:
     height_map = np.zeros(wood.shape[:2], np.float32)
     height_map[90:110, 40:60] = 0.04
     near, far = (

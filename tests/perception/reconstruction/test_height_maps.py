@@ -20,9 +20,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
 )
 @pytest.mark.parametrize("beyond", [-0.3, np.nan, 0.12])
 def test_noise_at_the_end_of_a_face_is_not_a_bar(
-    bar: tuple[float, float, float, float],
-    part: tuple[float, float, float, float],
-    beyond: float,
+    bar: tuple[float, float, float, float], part: tuple[float, float, float, float], beyond: float
 ) -> None:
     face = face_of(0.6, 0.8, 0.0)
     raised(face, bar, 0.04)

@@ -25,11 +25,7 @@ from momapos.perception.reconstruction.model_config import MAX_PASSED, ModelConf
 from momapos.perception.reconstruction.object_model import Neighbors, furniture_model
 from momapos.perception.reconstruction.scene_builder import build_scene
 from momapos.planning.grasps.handle_shapes import CarriedPart, rigid_links
-from momapos.planning.grasps.handles import (
-    find_handle,
-    has_handle,
-    opening_direction,
-)
+from momapos.planning.grasps.handles import find_handle, has_handle, opening_direction
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([1.0, -2.0, 0.9])

@@ -52,7 +52,6 @@ def test_handles_lie_on_their_parts_away_from_the_hinge(
     label: str, width: float, height: float
 ) -> None:
     for part in guess(label, width, height):
-        assert part.handle is not None
         left, top, right, bottom = part.box
         assert left <= part.handle[0] < part.handle[2] <= right
         assert top <= part.handle[1] < part.handle[3] <= bottom

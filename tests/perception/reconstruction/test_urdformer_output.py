@@ -20,18 +20,11 @@ from momapos.model.records.scans import Detection, Front
 from momapos.model.scene.library import Piece
 from momapos.perception.modeling import decide
 from momapos.perception.reconstruction.scene_builder import GivenModel
-from momapos.perception.reconstruction.urdformer_files import (
-    is_predicted_urdf,
-    read_predicted_urdf,
-)
+from momapos.perception.reconstruction.urdformer_files import is_predicted_urdf, read_predicted_urdf
 from momapos.perception.records import PartSource, ScanConfig, Survey, Tools
 from momapos.perception.segmentation.room_shell import RoomShell
 
-PARTS = [
-    ("drawer", (0, 9), (12, 12)),
-    ("doorL", (0, 0), (6, 9)),
-    ("doorR", (12, 0), (6, 9)),
-]
+PARTS = [("drawer", (0, 9), (12, 12)), ("doorL", (0, 0), (6, 9)), ("doorR", (12, 0), (6, 9))]
 """Class, and marks of start and end; a right door starts at its hinge."""
 HANDLES = [("handle", 1, (6, 6)), ("knob", 2, (10, 6)), ("handle", 3, (10, 4))]
 """Class, number of its part from 1, and marks on it."""

@@ -269,9 +269,7 @@ def test_a_tensor_of_an_absurd_shape_is_refused(
 
 
 @needs_torch
-def test_a_tensor_larger_than_its_archive_is_refused(
-    tmp_path: Path,
-) -> None:
+def test_a_tensor_larger_than_its_archive_is_refused(tmp_path: Path) -> None:
     path = write_archive(tmp_path / "m.pt", tensor_program((SIZE, 4), (4, 1), 2**30), bytes(800))
     with pytest.raises(FileFormatError, match="damaged"):
         read_instances(path, SIZE)
@@ -393,7 +391,6 @@ def test_written_boxes_are_read_unchanged(tmp_path: Path) -> None:
     path.write_text(json.dumps(boxes()))
     (found,) = read_instances(path, SIZE)
     assert (found.label, found.score, found.members) == ("fridge", 0.7, None)
-    assert found.box is not None
     np.testing.assert_allclose(found.box.center, [1, 2, 0.9])
     np.testing.assert_allclose(found.box.size, [0.6, 0.6, 1.8])
     assert found.box.yaw == 0.1

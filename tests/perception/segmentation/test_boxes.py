@@ -10,12 +10,7 @@ from tests.furnished import Corners, cloud_of
 from momapos.core.errors import InputError
 from momapos.core.geometry.polygons import UprightBox
 from momapos.model.records.scans import Cloud, Detection, Instance
-from momapos.perception.segmentation.instance_boxes import (
-    MIN_YAW,
-    boxes,
-    named,
-    wall_detections,
-)
+from momapos.perception.segmentation.instance_boxes import MIN_YAW, boxes, named, wall_detections
 from momapos.perception.segmentation.room_shell import RoomShell, RoomWall
 
 BACK_WALL = RoomShell((RoomWall(1, -1.0, 1.0, -3.0, 3.0, 2.4),))

@@ -8,10 +8,7 @@ from momapos.model.records.scans import Part
 from momapos.perception.views.front_view import consensus
 
 WHOLE = Part("drawer", (0.0, 0.0, 1.0, 1.0), 0.7)
-HALVES = (
-    Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.7),
-    Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.7),
-)
+HALVES = (Part("drawer", (0.0, 0.0, 1.0, 0.5), 0.7), Part("drawer", (0.0, 0.5, 1.0, 1.0), 0.7))
 
 
 def test_parts_that_most_images_show_are_kept() -> None:

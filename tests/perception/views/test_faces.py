@@ -88,7 +88,6 @@ def test_protrusions_of_a_face_are_in_the_height_map() -> None:
 def test_the_height_map_is_the_median_of_the_frames() -> None:
     face = box_faces(FRIDGE)[1]
     frames = [view_of(1)]
-    assert frames[0].depth is not None
     frames += [replace(frames[0], depth=frames[0].depth + step) for step in (0.0, 0.3)]
     assert abs(np.nanmedian(face_image(face, frames).height_map)) < 1e-3
 
@@ -101,14 +100,12 @@ def test_a_face_is_visible_from_its_own_side_only() -> None:
 
 def test_a_hidden_face_is_not_visible() -> None:
     frame = view_of(3)
-    assert frame.depth is not None
     hidden = replace(frame, depth=np.where(np.arange(640) < 320, 0.5, frame.depth).astype("f4"))
     assert visible_share(box_faces(FRIDGE)[3], hidden) == pytest.approx(0.5, abs=0.1)
 
 
 def test_open_places_of_a_face_do_not_lower_its_visibility() -> None:
     face, frame = box_faces(FRIDGE)[3], view_of(3)
-    assert frame.depth is not None
     left, right = np.arange(640) < 315, np.arange(640) > 325
     through = np.where(left, frame.depth + 0.5, frame.depth).astype("f4")
     assert visible_share(face, replace(frame, depth=through)) > 0.9
@@ -119,7 +116,6 @@ def test_open_places_of_a_face_do_not_lower_its_visibility() -> None:
 def test_an_obstruction_in_one_frame_is_replaced_by_another_frame() -> None:
     face = box_faces(FRIDGE)[0]
     free = view_of(0)
-    assert free.depth is not None
     hidden = replace(free, color=free.color.copy(), depth=free.depth.copy())
     hidden.color[240:] = 7
     hidden.depth[240:] = 1.0  # something stands a meter from the camera

@@ -46,7 +46,6 @@ def red_is_front(face: FaceImage) -> Front:
 def test_the_front_is_the_face_for_which_the_images_vote() -> None:
     frames = around([0.0, 0.3, 0.9], 3) + around([-0.9, 0.2, 0.6], FRONT)
     view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), red_is_front)
-    assert view is not None
     assert view.face.index == FRONT
     assert view.frame == 4  # the one nearest to the normal
     assert np.degrees(view.angle) < 20
@@ -62,11 +61,9 @@ def test_the_front_of_two_similar_faces_is_the_one_away_from_the_wall() -> None:
     frames = around([0.0, 0.2], 3) + around([0.0, 0.2], FRONT)
     seen = observations(FRIDGE, frames)
     anywhere = choose_view(FRIDGE, frames, seen, all_fronts)
-    assert anywhere is not None
     assert anywhere.face.index == 3
     backed = [index == FRONT for index in range(4)]
     at_wall = choose_view(FRIDGE, frames, seen, all_fronts, "voting", (), backed)
-    assert at_wall is not None
     assert at_wall.face.index == FRONT
 
 
@@ -78,8 +75,6 @@ def test_voting_corrects_a_wrong_image_and_first_does_not() -> None:
     voted = choose_view(FRIDGE, frames, seen, red_is_front)
     first = choose_view(FRIDGE, frames, seen[:1], red_is_front, "first")
     assert seen[0].frame == 0
-    assert voted is not None
-    assert first is not None
     assert voted.face.index == FRONT
     assert first.face.index == 3
 
@@ -95,7 +90,6 @@ def test_the_score_of_a_front_is_the_mean_of_its_images() -> None:
         replace(one, color=np.minimum(one.color, 199) + np.uint8(40)) for one in frames[1:]
     ]
     view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), by_brightness)
-    assert view is not None
     assert view.frame == 0
     assert view.front.score == pytest.approx((0.2 + 0.9 + 0.9) / 3)
 
@@ -104,7 +98,6 @@ def test_first_takes_the_most_central_frontal_image() -> None:
     frames = around([1.5, 0.2, 0.0], FRONT)
     seen = observations(FRIDGE, frames)
     view = choose_view(FRIDGE, frames, seen, red_is_front, "first")
-    assert view is not None
     angles = {0: 34, 1: 5, 2: 0}
     passing = [s.frame for s in seen if angles[s.frame] < 30]
     assert view.frame == passing[0]
@@ -116,7 +109,6 @@ def test_a_frontal_classifier_decides_instead_of_pose_and_front_score() -> None:
     for chosen in range(3):
         scores = {f"view {k}": 0.9 if k == chosen else 0.4 for k in range(3)}
         view = choose_view(FRIDGE, frames, seen, red_is_front, "first", frontal=scores)
-        assert view is not None
         assert view.frame == chosen
     assert choose_view(FRIDGE, frames, seen, red_is_front, "first", frontal={}) is None
 
@@ -187,7 +179,6 @@ def test_a_row_is_cut_where_no_door_crosses_and_double_doors_stay_together() -> 
         image(camera((-0.3, y, 0.9), (2.0, y, 0.45)), ROW, row_paint) for y in np.linspace(-1, 1, 7)
     ]
     pieces, front = split_row(ROW, frames, doors_in)
-    assert front is not None
     assert sorted(part.kind for part in front.parts) == sorted(kind for _, _, kind in DOORS)
     widths = [piece.size[1] for piece in pieces]
     assert np.allclose(widths, [0.6, 0.8, 0.58, 0.42], atol=0.02)
@@ -219,7 +210,6 @@ def test_parts_of_a_row_keep_their_place_on_its_pieces() -> None:
     part = Part("door_left", (0.55, 0.1, 0.75, 0.9), 0.9, handle=(0.7, 0.4, 0.72, 0.6))
     right = box_faces(UprightBox(np.array([2.0, -0.6, 0.45]), np.array([0.6, 1.2, 0.9])))[2]
     (there,) = transferred([part], whole, right)
-    assert there.handle is not None
     assert np.allclose(there.box, (0.1, 0.1, 0.5, 0.9))
     assert np.allclose(there.handle, (0.4, 0.4, 0.44, 0.6))
     (again,) = transferred([there], right, whole)
@@ -274,7 +264,6 @@ def test_a_door_known_from_the_row_makes_its_piece_a_front() -> None:
     assert choose_view(FRIDGE, frames, seen, blind) is None
     before = [KnownFront(face, 0.8, (door,))]
     view = choose_view(FRIDGE, frames, seen, blind, "voting", before)
-    assert view is not None
     assert view.face.index == FRONT
     assert view.front.parts == (door,)
     assert choose_view(FRIDGE, frames, seen, blind, "first", before) is None, "one image decides"
@@ -299,7 +288,6 @@ def test_the_first_frontal_image_decides_alone() -> None:
     ]
     assert looks == len(views)
     for view in views:
-        assert view is not None
         assert view.frame == seen[0].frame
         assert [part.kind for part in view.front.parts] == ["door_left"]
         assert view.evidence == ()

@@ -155,7 +155,6 @@ def test_neighbors_of_one_size_are_supported_together() -> None:
     next_to_it = replace(DOOR, box=(0.33, 0.2, 0.66, 0.8))
     after_that = replace(DOOR, box=(0.66, 0.2, 0.99, 0.8))
     wider = replace(DOOR, box=(0.33, 0.2, 0.99, 0.8))
-    assert held.handle is not None
     image = with_bar(plain(), held.handle, 0.03)
     assert kept(image, held, next_to_it, after_that) == (held, next_to_it, after_that)
     assert kept(image, held, wider) == (held,)
@@ -202,7 +201,6 @@ def seen_front(seam: float) -> tuple[FrontView, tuple[Part, ...]]:
         )
 
     view = choose_view(FRIDGE, frames, observations(FRIDGE, frames), look)
-    assert view is not None
     kept = parts_with_evidence(view.front.parts, view.face, view.surroundings, view.front.score)
     return view, kept
 

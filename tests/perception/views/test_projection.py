@@ -9,11 +9,7 @@ from tests.perception.views.painted_box import FRIDGE, camera, image
 
 from momapos.model.records.scans import Frame
 from momapos.perception.detection.coco import read_coco
-from momapos.perception.views.placed_parts import (
-    observations,
-    overlap,
-    projection,
-)
+from momapos.perception.views.placed_parts import observations, overlap, projection
 
 
 def gray(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -33,7 +29,6 @@ def frames() -> list[Frame]:
 def test_a_projected_box_contains_exactly_the_object_pixels() -> None:
     frame = frames()[0]
     rectangle = projection(FRIDGE, frame)
-    assert rectangle is not None
     rows, columns = np.nonzero(frame.color[..., 0])
     seen = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1)
     assert np.abs(np.subtract(rectangle, seen)).max() < 1.5
@@ -48,7 +43,6 @@ def test_images_are_sorted_by_centrality_without_those_that_look_away() -> None:
 def test_a_detector_file_locates_an_object(tmp_path: Path) -> None:
     images = frames()
     rectangle = projection(FRIDGE, images[0])
-    assert rectangle is not None
     left, top, right, bottom = rectangle
     entry = {
         "image_id": "frame-000000", "category_id": 72, "score": 0.9,

@@ -89,7 +89,6 @@ def test_a_path_around_the_obstacle_is_free_and_keeps_its_ends(
     free = motions_of(gantry, BLOCK)
     config = PlannerConfig(planner=algorithm, checks=3000)
     path = plan_motion(A, B, LOW, HIGH, free, config=config, seed=3)
-    assert path is not None
     assert len(path) > 2
     np.testing.assert_array_equal(path[[0, -1]], [A, B])
     assert (np.abs(path) <= 3.0 + 1e-9).all()
@@ -103,7 +102,6 @@ def test_our_path_is_nearly_the_shortest(gantry: tuple[Chain, Spheres], seed: in
     path = plan_motion(
         A, B, LOW, HIGH, motions_of(gantry, BLOCK), config=PlannerConfig(), seed=seed
     )
-    assert path is not None
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
     assert length < 1.1 * (2 * np.hypot(1.0, 1.0) + 2.0)
 
@@ -204,7 +202,6 @@ def test_a_planner_that_shortens_its_path_ends_with_the_first_one_unless_it_opti
             A, B, LOW, HIGH, counted, planner=algorithm, checks=2000, step=RESOLUTION, seed=2,
             optimize=optimize,
         )  # fmt: skip
-        assert path is not None
         return sum(checks), float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
     (few, first), (many, shortest) = search(optimize=False), search(optimize=True)
@@ -223,7 +220,6 @@ def test_both_planners_pass_a_narrow_gap(gantry: tuple[Chain, Spheres], gap: flo
         path = plan_motion(
             np.array([-2.0, 2.0]), np.array([2.0, 2.0]), LOW, HIGH, free, config=config, seed=1
         )
-        assert path is not None
         crossing = np.abs(interpolate(path, 1e-3)[:, 0]) < 0.1
         assert np.abs(interpolate(path, 1e-3)[crossing, 1]).max() < gap / 2 + RESOLUTION
 
@@ -253,7 +249,6 @@ def test_a_path_keeps_clearance_where_possible(
         return motions_of(gantry, *walls, extra=extra_clearance, fine=fine)
 
     found = plan_with_clearance(A, B, LOW, HIGH, checker, config=PlannerConfig(), seed=1)
-    assert found is not None
     path = found.corners
     near, far = (checker(extra_clearance=extra, fine=True) for extra in (0.0, PREFERRED_CLEARANCE))
     assert all(near(state, state) for state in path)

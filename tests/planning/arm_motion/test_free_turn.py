@@ -13,11 +13,7 @@ from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.arm_path import FOUND, HIT
-from momapos.planning.arm_motion.free_turn import (
-    _feasible_modes,
-    find_short_paths,
-    fitted_bases,
-)
+from momapos.planning.arm_motion.free_turn import _feasible_modes, find_short_paths, fitted_bases
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
@@ -50,7 +46,6 @@ def test_an_arm_of_five_joints_opens_a_door_and_a_drawer(
     task = make_task(kitchen, "open", name, joint, to)
     plan = plan_base_placement(kitchen, short_arm, task, config=CONFIG).plan
     assert plan.status == "solved"
-    assert plan.motion is not None
     assert plan.motion.q.shape[1] == len(plan.joints) == 5
     # The plan's tool poses match the arm states.
     Ts = pose_planar(np.array(plan.base_pose)) @ short_arm.chain.tool_poses(plan.motion.q)
@@ -60,7 +55,6 @@ def test_an_arm_of_five_joints_opens_a_door_and_a_drawer(
 def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge", 0.3)
     plan = plan_base_placement(kitchen, short_arm, task, config=CONFIG).plan
-    assert plan.motion is not None
     (hold,) = plan.motion.holds
     assert hold.turn_axis is not None
     part = [
@@ -124,7 +118,6 @@ def test_a_base_error_of_millimeters_leaves_the_plan_feasible(kitchen: Scene) ->
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
     reach = load_reach(robot)
     plan = plan_base_placement(kitchen, robot, task, reach, config=CONFIG).plan
-    assert plan.base_pose is not None
     for off in ((0.004, 0.0, 0.006), (-0.003, 0.003, -0.006), (0.0, -0.004, 0.0)):
         again = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, off), reach)
         assert again.motion is not None

@@ -208,7 +208,5 @@ def test_a_handle_of_one_centimeter_near_its_carcass_can_be_grasped(
     task = make_task(scene, "open", "cabinet", to=1.2)
     answer = plan_base_placement(scene, robot, task, Everywhere(), config=PipelineConfig())
     assert answer.plan.status == "solved", answer.plan.candidates
-    assert answer.plan.base_pose is not None
-    assert answer.plan.motion is not None
     verifier = PlanVerifier(scene, robot, task)
     assert verifier.check(answer.plan.base_pose, answer.plan.motion).valid

@@ -101,9 +101,7 @@ def test_proposals_move_with_the_scene(
     np.testing.assert_allclose(low.mean(0), high.mean(0), atol=0.15)
 
 
-def test_habitat_starts_in_the_middle_of_its_area_and_faces_the_object(
-    room: PlacerRoom,
-) -> None:
+def test_habitat_starts_in_the_middle_of_its_area_and_faces_the_object(room: PlacerRoom) -> None:
     poses = proposed(habitat, room)
     local = local_points(room.object_frame, poses[:, :2])
     np.testing.assert_allclose(local[0], HINGED.mean(0), atol=0.05)
@@ -227,7 +225,6 @@ def test_m_samples_are_in_the_paper_s_area_within_the_length_of_the_arm(
     geometry = room.prepared.geometry
     axes = place_points(poses, geometry.shoulder[None, :2])[:, 0]
     radius = printed_radius(geometry)
-    assert radius is not None
     assert np.linalg.norm(axes - room.target[:2], axis=1).max() <= radius + 1e-9
     dz = room.target[2] - geometry.shoulder[2]
     assert radius == pytest.approx(np.sqrt(room.robot.reach**2 - dz**2))

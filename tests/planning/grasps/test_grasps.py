@@ -22,12 +22,7 @@ from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.grasp_families import Grasps
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
-from momapos.planning.grasps.handles import (
-    HandleKind,
-    HandleSource,
-    find_handle,
-    find_handles,
-)
+from momapos.planning.grasps.handles import HandleKind, HandleSource, find_handle, find_handles
 from momapos.planning.grasps.part_grasps import grasps_of, pinch_capacity, push_grasps
 from momapos.planning.grasps.part_motion import motion_direction
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
@@ -229,7 +224,6 @@ def test_a_free_edge_is_grasped_only_where_fingers_get_behind_it(
     scene = changed(tmp_path, *bare)
     task = make_task(scene, "open", "cabinet")
     closed = prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
-    assert closed.motion.handle is not None
     assert closed.motion.handle.edge
     assert "in every grasp" in closed.infeasible_reason
     ajar = scene.with_joint("cabinet", "hinge", 1.0)
@@ -241,7 +235,6 @@ def test_a_free_edge_is_grasped_only_where_fingers_get_behind_it(
 def test_a_door_is_closed_by_pushing_its_front(robot: Robot, tmp_path: Path) -> None:
     model = changed(tmp_path).object("cabinet").model
     pushed = push_grasps(robot, model, "hinge", 1.0, CONFIG)
-    assert pushed is not None
     face, found = pushed
     assert face.kind is HandleKind.FACE
     assert len(found.code)
@@ -324,7 +317,6 @@ def test_the_next_handle_is_grasped_where_the_best_is_obstructed(
         task = make_task(scene, "open", "cabinet", to=to)
         ready = prepare(scene, robot, task, PipelineConfig(), clearance=0.0)
         assert ready.no_grasp == ""
-        assert ready.motion.handle is not None
         return ready.motion.handle.name
 
     assert held(0.6) == "long_handle"

@@ -80,9 +80,7 @@ def test_the_bow_handle_of_a_door_of_one_mesh_is_a_bar(tmp_path: Path) -> None:
     assert all(h.edge for h in others)
 
 
-def test_a_named_bow_handle_of_one_mesh_is_also_found_in_pieces(
-    tmp_path: Path,
-) -> None:
+def test_a_named_bow_handle_of_one_mesh_is_also_found_in_pieces(tmp_path: Path) -> None:
     model = part(tmp_path, (*given.BOW, given.PANEL), slides=False, name="handle")
     kinds = [(h.found, h.in_pieces) for h in handles_in_turn(model, "j", 1.0)]
     assert kinds[:2] == [(HandleSource.NAME, False), (HandleSource.SHAPE, True)]
@@ -160,7 +158,6 @@ def test_a_finger_goes_behind_a_bow_that_is_a_mesh_of_its_own(
 ) -> None:
     model = panel_with(tmp_path, BOWS[shape])
     robot = opened_to(robots("husky_ur5e"), 0.032)
-    assert robot is not None
     (bow, *_) = handles_in_turn(model, "j", 1.0)
     grasps = grasps_of(robot, model, "j", 1.0, bow, CONFIG)
     assert not grasps.reason
@@ -224,10 +221,8 @@ def test_a_door_of_one_mesh_is_grasped_at_the_same_place(robot: Robot, tmp_path:
     scene = one_mesh(tmp_path)
     motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), MotionConfig())
     assert not motion.refusal
-    assert motion.handle is not None
     assert str(motion.handle) == "bar 'door', by its shape"
     many = cabinet_room(tmp_path / "many")
     known = task_motion(many, robot, make_task(many, "open", "cabinet"), MotionConfig())
-    assert known.handle is not None
     off = motion.handle.grip - known.handle.grip
     assert np.linalg.norm(off - off @ motion.handle.out * motion.handle.out) < 0.01

@@ -65,10 +65,8 @@ def opened(hook: SlidingHook, robot: Robot, tmp_path_factory: pytest.TempPathFac
     reach = load_reach_map(robot, tmp_path_factory.mktemp("maps"))
     scores = hook.mode_scorers[0](reach, BASE[None]).scores
     screened = hook.screen(BASE[None], scores, None)
-    assert screened is not None
     modes = np.flatnonzero(scores[0] > 0)
     motion = hook(BASE, screened[0], modes).motion
-    assert motion is not None
     return motion
 
 
@@ -165,7 +163,6 @@ def test_a_sliding_hook_opens_the_door_where_a_rigid_one_cannot(
     still = fridge.feasibility(CONFIG, 0).screen(
         BASE[None], fridge.mode_scorers[0](reach, BASE[None]).scores, None
     )
-    assert still is not None
     assert still[0].q is None
     one, other = opened.holds
     assert one.turn_axis is None
@@ -177,7 +174,6 @@ def test_a_sliding_hook_opens_the_door_where_a_rigid_one_cannot(
     assert fridge.violation(BASE, opened) is None
     single = replace(one, last=other.last)
     wrong = fridge.violation(BASE, replace(opened, holds=(single,)))
-    assert wrong is not None
     assert "grasp slips" in wrong
 
 
@@ -227,7 +223,6 @@ def longest(motion: SlidingMotion) -> int:
 def with_crossbar(kitchen: Scene, motion: SlidingMotion) -> Scene:
     """Add a crossbar between two grasps of the bar."""
     fridge, handle = kitchen.object("fridge"), motion.handle
-    assert handle is not None
     door = fridge.model.urdf.links["door"]
     grip = handle.grip + 0.3 * handle.half_length * handle.long
     T = np.eye(4)

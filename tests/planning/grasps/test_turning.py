@@ -123,12 +123,9 @@ def test_a_turning_hand_opens_the_door_where_a_rigid_one_cannot(
     poses = BASE[None]
     rigid = feasible.screen(poses, fridge.mode_scorers[0](reach, poses).scores, None)
     turning = feasible.screen(poses, fridge.mode_scorers[1](reach, poses).scores, None)
-    assert rigid is not None
-    assert turning is not None
     assert rigid[0].q is None
     assert turning[0].q is not None
     found = feasible(BASE, turning[0], np.array([turning[0].grasp])).motion
-    assert found is not None
     assert found.holds[0].turn_axis is not None
     assert fridge.violation(BASE, found) is None
     assert "rotation" in (fridge.violation(BASE, replace(found, holds=())) or "")
@@ -158,7 +155,6 @@ def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path) -> None:
     task = make_task(scene, "open", "drawer")
     plan = plan_base_placement(scene, stretch, task).plan
     assert plan.status == "solved"
-    assert plan.motion is not None
     (hold,) = plan.motion.holds
     np.testing.assert_allclose(np.abs(hold.turn_axis), [1, 0, 0], atol=1e-9)
     assert hold.words.endswith(", the hand turning about it")
@@ -177,7 +173,6 @@ def test_only_short_arms_turn_about_knobs_and_only_about_round_ones(
         scene = knob_drawer(tmp_path / name, shape)
         motion = task_motion(scene, arm, make_task(scene, "open", "drawer"), MotionConfig())
         assert not motion.refusal
-        assert motion.handle is not None
         assert motion.handle.knob
         assert bool(len(motion.turning.groups)) is turns, name
 

@@ -11,12 +11,7 @@ from tests.planning.importance.things import box, room
 
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
-from momapos.planning.importance.config import (
-    EdgesName,
-    GraphConfig,
-    ImportanceConfig,
-    ScorerName,
-)
+from momapos.planning.importance.config import EdgesName, GraphConfig, ImportanceConfig, ScorerName
 from momapos.planning.importance.ranking import rank
 from momapos.planning.importance.scene_graph import KINDS, SceneGraph, build_graph
 from momapos.planning.importance.scorers import authors_transitions

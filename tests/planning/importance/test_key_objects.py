@@ -85,7 +85,6 @@ def test_an_object_whose_box_blocks_the_task_is_modeled(
     )
     answer = plan_with(scene, robot, "cabinet", 1.0)
     assert answer.plan.status == "solved"
-    assert answer.plan.key_objects is not None
     assert set(answer.plan.key_objects.names) == {"cabinet", "porch"}
 
 
@@ -98,9 +97,6 @@ def test_a_plan_among_boxes_is_valid_among_the_objects(
     answer = plan_with(scene, robot, target, 1.0, scorer)
     plan, key = answer.plan, answer.plan.key_objects
     assert plan.status == "solved"
-    assert plan.base_pose is not None
-    assert plan.motion is not None
-    assert key is not None
     assert (
         PlanVerifier(scene, robot, plan.task).first_violation(plan.base_pose, plan.motion) is None
     )
@@ -117,7 +113,6 @@ def test_an_object_near_the_plan_is_added_and_the_plan_is_checked_again(
         load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 1.0, "deepwalk"
     )
     joined = key.plan.key_objects
-    assert joined is not None
     assert joined.rounds > 0
     assert {"microwave", "counter"} <= set(joined.names)
     assert joined.scores["counter"] < joined.alpha

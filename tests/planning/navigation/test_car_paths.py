@@ -46,7 +46,6 @@ def test_paths_are_curves_that_its_wheels_can_follow(furnished: NavigationMap) -
     for _ in range(6):
         start, goal = (free_pose(furnished, rng, gap=0.02) for _ in range(2))
         path = plan_path(furnished, start, goal)
-        assert path is not None
         np.testing.assert_allclose(path.poses[0], start, atol=1e-9)
         np.testing.assert_allclose(path.poses[-1], goal, atol=1e-9)
         assert is_drivable(furnished, path)
@@ -58,7 +57,6 @@ def test_paths_are_curves_that_its_wheels_can_follow(furnished: NavigationMap) -
 def test_a_base_that_only_turns_drives_away_and_back(furnished: NavigationMap) -> None:
     start = np.array([-1.0, -2.0, 0.3])
     path = plan_path(furnished, start, np.array([-1.0, -2.0, 1.5]))
-    assert path is not None
     assert path.length >= 1.2 * furnished.robot.min_turning_radius
     assert is_drivable(furnished, path)
     step = np.diff(path.poses, axis=0)
@@ -72,7 +70,6 @@ def test_the_way_out_of_a_niche_is_the_way_in(car: Robot) -> None:
     docked, free = np.array([2.5 - front - 0.015, 0.0, 0.0]), np.array([-1.0, 1.0, 2.0])
     for start, goal in ((docked, free), (free, docked)):
         path = plan_path(nav_map, start, goal)
-        assert path is not None
         assert is_drivable(nav_map, path)
 
 
@@ -82,7 +79,6 @@ def test_a_long_wall_at_its_side_is_left_on_arcs(car: Robot) -> None:
     along, free = np.array([0.0, 0.0, 0.0]), np.array([0.5, 2.0, 1.0])
     for start, goal in ((along, free), (free, along)):
         path = plan_path(wall, start, goal)
-        assert path is not None
         assert is_drivable(wall, path)
 
 
@@ -101,7 +97,6 @@ def test_where_it_cannot_turn_it_gets_to_fewer_poses_than_one_that_turns_on_the_
     assert plan_path(nav_map, here, around) is None
     assert not leads_straight(nav_map, here, around)
     ahead = plan_path(nav_map, here, np.array([1.2, 0.0, 0.0]))
-    assert ahead is not None
     assert ahead.length == pytest.approx(2.4, abs=1e-3)
 
 
@@ -114,7 +109,6 @@ def test_there_is_no_path_through_a_door_narrower_than_the_footprint(car: Robot)
     )
     wide = build_navigation_map(room(wall_with_door(width + 0.15)), car)
     path = plan_path(wide, start, goal)
-    assert path is not None
     assert is_drivable(wide, path)
 
 
@@ -187,9 +181,7 @@ def test_the_judge_knows_what_the_wheels_cannot_do() -> None:
     assert impossible_motion("omni", 0.0, moved((0.1, 0.5, 1.0))) == ""
 
 
-def test_an_omni_base_keeps_its_speed_in_every_direction(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_an_omni_base_keeps_its_speed_in_every_direction(robots: Callable[[str], Robot]) -> None:
     robot = robots("ranger_rm63")
     assert robot.drive == "omni"
     rng = np.random.default_rng(4)

@@ -79,9 +79,7 @@ def test_a_rotated_box_blocks_the_cells_under_it() -> None:
     assert plan.blocked.sum() * CELL**2 >= 0.8 * 0.3 * 4
 
 
-def test_a_car_like_base_drives_at_least_the_shortest_curve(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_a_car_like_base_drives_at_least_the_shortest_curve(robots: Callable[[str], Robot]) -> None:
     robot, start = robots("fetch"), np.array([0.5, -0.5, 0.4])
     plan = FloorPlan(np.array([-3.0, -3.0]), np.zeros((120, 120), bool))
     costs = build_cost_map(plan, start[:2], radius=0.3)

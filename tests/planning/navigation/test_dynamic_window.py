@@ -88,7 +88,6 @@ def test_the_base_can_stop_behind_an_obstacle_that_stops_at_once(
     nav_map = build_navigation_map(room([]), robot)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     path = plan_path(nav_map, np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]))
-    assert path is not None
     pose, pace = path.poses[0], 0.6 * robot.max_speed
     disc = np.array([[pose[0] + 2.0, pose[1], pace, 0.0, 0.3]])
     disc[0, 0] -= judge.disc_distances(pose, disc)[0] - ahead

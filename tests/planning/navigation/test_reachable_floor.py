@@ -49,7 +49,6 @@ def test_the_passage_is_named_with_its_width() -> None:
         build_navigation_map(doorway(0.65, y=0.13), load_robot("husky_ur5e")), START
     )
     passage = floor.passage(BEYOND)
-    assert passage is not None
     assert passage.width == pytest.approx(0.65, abs=0.005)
     assert set(passage.between) == {"wall_a", "wall_b"}
     assert str(passage).startswith("65 cm between wall_")

@@ -41,7 +41,6 @@ def make_geometry(scene: Scene, robot: Robot, to: float = 1.5) -> PlacementGeome
 
 def grid(geometry: PlacementGeometry, count: int = 17) -> np.ndarray:
     corners = sampling_box(geometry)
-    assert corners is not None
     x, y = (np.linspace(lo, hi, count) for lo, hi in corners.T)
     yaw = np.linspace(-3, 3, 5)
     return compose(task_frame(geometry), np.stack(np.meshgrid(x, y, yaw), -1).reshape(-1, 3))
@@ -50,7 +49,6 @@ def grid(geometry: PlacementGeometry, count: int = 17) -> np.ndarray:
 def test_the_base_cannot_stand_in_the_sweep_of_a_low_door(robot: Robot, tmp_path: Path) -> None:
     scene = cabinet_room(tmp_path)
     low = scene.object("cabinet").model.urdf.path
-    assert low is not None
     low.write_text(
         low.read_text().replace(" 0.8", " 0.31").replace(" 1.09", " 0.6").replace(" 0.51", " 0.02")
     )
@@ -95,8 +93,6 @@ def test_the_sampling_frame_moves_with_the_scene(robot: Robot, tmp_path: Path) -
         make_geometry(move_scene(scene, 3.0, -1.0, 0.7), robot),
     )
     a, b = sampling_box(geometry), sampling_box(other)
-    assert a is not None
-    assert b is not None
     np.testing.assert_allclose(a, b, atol=1e-9)
     shift = np.array([3.0, -1.0, 0.7])
     expected = compose(shift, task_frame(geometry)[None])[0]
@@ -122,7 +118,6 @@ def test_a_mirrored_scene_mirrors_the_free_area(robots: object, tmp_path: Path) 
 def test_no_pose_outside_the_sampling_box_is_within_reach(robot: Robot, tmp_path: Path) -> None:
     geometry = make_geometry(cabinet_room(tmp_path), robot)
     corners = sampling_box(geometry)
-    assert corners is not None
     rng = np.random.default_rng(0)
     local = rng.uniform(-4, 4, (4000, 3))
     inside = ((local[:, :2] >= corners[0]) & (local[:, :2] <= corners[1])).all(1)
@@ -171,7 +166,6 @@ def test_what_is_known_of_a_grid_changes_no_status(robot: Robot, tmp_path: Path)
     for to in (1.5, 0.4, 1.0):
         geometry = make_geometry(scene, robot, to)
         corners = sampling_box(geometry)
-        assert corners is not None
         x, y = (cell * np.arange(np.floor(lo / cell), np.ceil(hi / cell)) for lo, hi in corners.T)
         yaw = np.radians(np.arange(-180.0, 180.0, turn))
         local = np.stack(np.meshgrid(x, y, yaw, indexing="ij"), -1).reshape(-1, 3)

@@ -43,7 +43,6 @@ def test_the_nearest_miss_is_the_pose_whose_checks_came_farthest(
     if nearest is None:
         assert miss is None
         return
-    assert miss is not None
     assert miss.base_pose == tuple(poses[nearest])
     assert miss.reason == str(outcomes[nearest])
 

@@ -87,7 +87,6 @@ def find(
         return np.linalg.norm(places[:, :2] - START[:2], axis=1)
 
     def score(_: ReachScorer, poses: Float[np.ndarray, "n 3"]) -> GraspModeScores:
-        assert reached is not None
         return GraspModeScores(reached(poses)[:, None].astype(np.float32), 1)
 
     scorers = grasp_mode_scorers(geometry.Ts_world_tool, np.zeros((0, 1), int))
@@ -109,7 +108,6 @@ def test_a_pose_that_works_is_found_and_its_cost_is_the_driving_length(
     geometry: PlacementGeometry, method: Method, which: Works
 ) -> None:
     found = find(geometry, which, which, method=method)
-    assert found.base is not None
     assert which(found.base[None])[0]
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
     assert list(np.concatenate(found.outcomes)).count(FEASIBLE) == 1
@@ -129,10 +127,8 @@ def test_poses_from_which_the_arm_can_return_home_come_first(
 ) -> None:
     """Poses left of the door are farther from the start than poses right of it."""
     free = find(geometry, always, always, **changes)
-    assert free.base is not None
     assert not left(free.base[None])[0]
     home = find(geometry, always, always, home_is_free=left, **changes)
-    assert home.base is not None
     assert left(home.base[None])[0]
     assert home.cost > free.cost
 
@@ -144,14 +140,12 @@ def test_no_solution_is_lost_if_the_arm_cannot_return_home(
     plain = find(geometry, left, left, **changes)
     no_home = find(geometry, left, left, home_is_free=never, **changes)
     assert plain.base is not None
-    assert no_home.base is not None
     assert left(no_home.base[None])[0]
 
     def right(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return ~left(poses)
 
     other_home = find(geometry, left, left, home_is_free=right, **changes)
-    assert other_home.base is not None
     assert left(other_home.base[None])[0]
 
 
@@ -163,9 +157,7 @@ def test_poses_from_which_the_robot_can_drive_on_come_first(
     """Poses left of the door are farther from the start than poses right of it."""
     departure = FakeDeparture(left, knows)
     on = find(geometry, always, always, departure=departure, **changes)
-    assert on.base is not None
     assert left(on.base[None])[0]
-    assert on.fallback is not None
     assert not left(on.fallback[0][None])[0]
     assert on.fallback[2] < on.cost
     on.accept_fallback()
@@ -183,7 +175,6 @@ def test_a_pose_that_blocks_the_robot_in_is_the_fallback(
     assert found.is_no
     assert len(departure.checked) == 1
     found.accept_fallback()
-    assert found.base is not None
     assert left(found.base[None])[0]
     assert found.blocked_in
     assert found.cost == pytest.approx(np.linalg.norm(found.base[:2] - START[:2]))
@@ -195,7 +186,6 @@ def test_the_chosen_pose_tolerates_position_errors(geometry: PlacementGeometry) 
         return poses[:, 0] % 0.12 < 0.08
 
     def inside(found: Search) -> bool:
-        assert found.base is not None
         return bool(0.02 <= found.base[0] % 0.12 < 0.06)
 
     seeds = range(8)
@@ -251,20 +241,15 @@ def test_where_the_grid_reaches_nothing_no_further_round_is_sampled(
     assert len(nothing_works.poses) == 4  # three rounds and the grid
 
 
-def test_a_pose_is_found_where_none_is_robust(
-    geometry: PlacementGeometry,
-) -> None:
+def test_a_pose_is_found_where_none_is_robust(geometry: PlacementGeometry) -> None:
     def narrow_stripes(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         return poses[:, 0] % 0.03 < 0.01
 
     found = find(geometry, narrow_stripes, always, compared=2, count=64)
-    assert found.base is not None
     assert found.base[0] % 0.03 < 0.01
 
 
-def test_checking_more_candidates_never_costs_more(
-    geometry: PlacementGeometry,
-) -> None:
+def test_checking_more_candidates_never_costs_more(geometry: PlacementGeometry) -> None:
     costs = [find(geometry, always, always, batch=n, polish=0).cost for n in (1, 2, 8, 32)]
     assert costs == sorted(costs, reverse=True)
     steps = [find(geometry, always, always, batch=1, polish=n, count=32).cost for n in (0, 1, 2, 4)]
@@ -295,14 +280,11 @@ def test_the_base_keeps_clear_of_the_moving_part_where_possible(
 
 def test_if_a_path_cannot_be_completed_the_next_is_tried(geometry: PlacementGeometry) -> None:
     found = find(geometry, always, left)
-    assert found.base is not None
     assert found.base[0] < -0.3
     assert NO_APPROACH in np.concatenate(found.outcomes)
 
 
-def test_where_nothing_works_every_pose_has_a_reason(
-    geometry: PlacementGeometry,
-) -> None:
+def test_where_nothing_works_every_pose_has_a_reason(geometry: PlacementGeometry) -> None:
     for path, whole, reason in ((never, never, MISSED.outcome), (always, never, NO_APPROACH)):
         found = find(geometry, path, whole, count=32, rounds=1)
         assert found.motion is None

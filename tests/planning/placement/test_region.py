@@ -37,9 +37,7 @@ def test_the_whole_footprint_lies_in_one_keep_in_area(geometry: PlacementGeometr
     assert two == {PoseStatus.NOT_KEPT_IN: [True, False, True]}
 
 
-def test_no_part_of_the_footprint_touches_a_keep_out_area(
-    geometry: PlacementGeometry,
-) -> None:
+def test_no_part_of_the_footprint_touches_a_keep_out_area(geometry: PlacementGeometry) -> None:
     poses = np.array([[0.5, 0.5, 0.3], [1.05, 0.5, 0.0], [3.0, 0.5, 0.0]])
     out = satisfied(BaseRegion(keep_out=(SQUARE,)), geometry, poses)
     assert out == {PoseStatus.NOT_KEPT_OUT: [False, False, True]}
