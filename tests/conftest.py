@@ -16,6 +16,8 @@ from tests.real import DATA
 
 from momapos.core.cache import default_cache_dir
 from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
+from momapos.model.scene.scene_files import load_scene
 
 pytest_plugins = ["pytester"]
 # On a busy machine any example may take long.
@@ -37,6 +39,37 @@ def shared() -> Path:
 def robots() -> Callable[[str], Robot]:
     """Return a loader of library robots by name, which reads each robot once."""
     return cache(load_robot)
+
+
+@pytest.fixture(scope="session")
+def kitchen() -> Scene:
+    """Return a kitchen of the package, which is read once, as what the planner derives from it."""
+    return load_scene("kitchen_small")
+
+
+@pytest.fixture(scope="session")
+def fetch(robots: Callable[[str], Robot]) -> Robot:
+    return robots("fetch")
+
+
+@pytest.fixture(scope="session")
+def segway(robots: Callable[[str], Robot]) -> Robot:
+    return robots("segway_ur5e")
+
+
+@pytest.fixture(scope="session")
+def husky(robots: Callable[[str], Robot]) -> Robot:
+    return robots("husky_ur5e")
+
+
+@pytest.fixture(scope="session")
+def ranger(robots: Callable[[str], Robot]) -> Robot:
+    return robots("ranger_rm63")
+
+
+@pytest.fixture(scope="session")
+def stretch(robots: Callable[[str], Robot]) -> Robot:
+    return robots("stretch")
 
 
 @pytest.fixture(params=ROBOTS)

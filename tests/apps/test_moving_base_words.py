@@ -16,8 +16,8 @@ from momapos.apps.plots.answer_plot import draw_answer
 from momapos.apps.web.static import page_of
 from momapos.apps.web.words import answer_card
 from momapos.model.plan_files.plan_format import read_plan
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.result import PlacementResult
@@ -25,13 +25,12 @@ from momapos.planning.tolerance import with_tolerance
 
 
 @pytest.fixture(scope="module")
-def answer() -> PlacementResult:
+def answer(kitchen: Scene, segway: Robot) -> PlacementResult:
     """Return an answer whose base drives back a little as the hand opens a drawer."""
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
-    found = plan_base_placement(scene, robot, task)
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
+    found = plan_base_placement(kitchen, segway, task)
     base = arc(found.plan.base_pose, -0.06, 0.05, len(found.plan.motion.q))
-    return replace(found, plan=on_moving_base(found.plan, robot, base))
+    return replace(found, plan=on_moving_base(found.plan, segway, base))
 
 
 def test_plans_tell_how_the_base_moves(tmp_path: Path) -> None:

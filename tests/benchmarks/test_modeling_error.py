@@ -13,7 +13,7 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 
 ROOT = Path(__file__).parents[2]
 FRIDGE = "Fridge/10144"
@@ -60,8 +60,9 @@ def test_results_of_another_scan_or_version_end_with_one_line(
     option: str,
     data: Any,
     why: str,
+    kitchen: Scene,
 ) -> None:
-    monkeypatch.setattr(script, "room", lambda _: load_scene("kitchen_small"))
+    monkeypatch.setattr(script, "room", lambda _: kitchen)
     results(tmp_path, "own.json", data)
     words = ("--frames", "2", f"--{option}", "own.json")
     assert run(script, monkeypatch, tmp_path, *words) == 2

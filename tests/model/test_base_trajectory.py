@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,11 +20,6 @@ FAST = SpeedConfig(manipulation_speed=1.0, tool_speed=10.0)
 """So fast that the base limits the motion."""
 READY = np.array([0.3, -0.9, 1.6, -0.7, 1.57, 0.0])
 """A state of the arm in which the hand can move in every direction [rad]."""
-
-
-@pytest.fixture(scope="module")
-def robot(robots: Callable[[str], Robot]) -> Robot:
-    return robots("segway_ur5e")
 
 
 def motion_of(robot: Robot, base: np.ndarray) -> Motion:
@@ -58,48 +52,49 @@ PATHS = {
 @pytest.mark.parametrize("config", [DEFAULT, FAST])
 @pytest.mark.parametrize("name", PATHS)
 def test_base_and_arm_keep_their_limits_on_one_clock(
-    name: str, config: SpeedConfig, robot: Robot
+    name: str, config: SpeedConfig, segway: Robot
 ) -> None:
-    motion = motion_of(robot, PATHS[name])
-    timed = time_motion(robot, motion, config, STEP)[1]
+    motion = motion_of(segway, PATHS[name])
+    timed = time_motion(segway, motion, config, STEP)[1]
     share = config.manipulation_speed
     speed = np.hypot(*timed.base_v[:, :2].T)
-    assert speed.max() <= 1.01 * share * robot.max_speed
-    assert np.abs(timed.base_v[:, 2]).max() <= 1.01 * share * robot.max_yaw_rate
+    assert speed.max() <= 1.01 * share * segway.max_speed
+    assert np.abs(timed.base_v[:, 2]).max() <= 1.01 * share * segway.max_yaw_rate
     a = np.diff(timed.base_v, axis=0)[:-1] / STEP
-    assert np.hypot(*a[:, :2].T).max() <= 1.05 * robot.max_acceleration
-    assert np.abs(a[:, 2]).max() <= 1.05 * robot.max_yaw_acceleration
-    limits = np.array([robot.model.joint(name).velocity for name in robot.moved_joints])
+    assert np.hypot(*a[:, :2].T).max() <= 1.05 * segway.max_acceleration
+    assert np.abs(a[:, 2]).max() <= 1.05 * segway.max_yaw_acceleration
+    limits = np.array([segway.model.joint(name).velocity for name in segway.moved_joints])
     assert (np.abs(timed.v) <= 1.01 * share * limits).all()
     np.testing.assert_allclose(timed.base_v[[0, -1]], 0.0, atol=1e-2)
-    tool = pose_planar(timed.base) @ robot.chain.tool_poses(robot.chain.freedom_values(timed.q))
+    tool = pose_planar(timed.base) @ segway.chain.tool_poses(segway.chain.freedom_values(timed.q))
     off = np.linalg.norm(tool[:, :3, 3] - motion.Ts_world_tool[0, :3, 3], axis=1)
     assert off.max() < 2e-3  # base and arm at the same time: the hand stays where it is
 
 
-def test_the_base_reaches_the_limit_that_holds_it_back(robot: Robot) -> None:
-    slow = replace(robot, max_speed=0.04)
-    timed = time_motion(slow, motion_of(robot, PATHS["straight"]), FAST, STEP)[1]
+def test_the_base_reaches_the_limit_that_holds_it_back(segway: Robot) -> None:
+    slow = replace(segway, max_speed=0.04)
+    timed = time_motion(slow, motion_of(segway, PATHS["straight"]), FAST, STEP)[1]
     assert np.hypot(*timed.base_v[:, :2].T).max() == pytest.approx(0.04, rel=0.02)
-    diagonal = replace(robot, max_speed=0.04, drive="omni")
+    diagonal = replace(segway, max_speed=0.04, drive="omni")
     base = np.linspace([0.0, 0.0, 0.0], [-0.1, 0.1, 0.0], 40)
-    timed = time_motion(diagonal, motion_of(robot, base), FAST, STEP)[1]
+    timed = time_motion(diagonal, motion_of(segway, base), FAST, STEP)[1]
     assert np.hypot(*timed.base_v[:, :2].T).max() == pytest.approx(0.04, rel=0.02)
 
 
-def test_each_state_is_passed_by_base_and_arm_at_its_time(robot: Robot) -> None:
-    motion = motion_of(robot, PATHS["curve"])
-    timed = time_motion(robot, motion, DEFAULT, STEP)[1]
+def test_each_state_is_passed_by_base_and_arm_at_its_time(segway: Robot) -> None:
+    motion = motion_of(segway, PATHS["curve"])
+    timed = time_motion(segway, motion, DEFAULT, STEP)[1]
     assert timed.base is not None
     samples = np.arange(len(timed)) * STEP
     for states, there in ((motion.q, timed.q), (motion.base, timed.base)):
         at = [np.interp(timed.state_times, samples, column) for column in there.T]
         np.testing.assert_allclose(np.stack(at, 1), states, atol=0.5 * STEP)
+    assert with_times(plan_of(segway, motion), segway).motion is not None
 
 
-def test_a_timed_plan_tells_where_the_base_is(robot: Robot, tmp_path: Path) -> None:
-    motion = motion_of(robot, PATHS["curve"])
-    timed = time_plan(plan_of(robot, motion), robot)
+def test_a_timed_plan_tells_where_the_base_is(segway: Robot, tmp_path: Path) -> None:
+    motion = motion_of(segway, PATHS["curve"])
+    timed = time_plan(plan_of(segway, motion), segway)
     assert len(timed.base) == len(timed.times)
     np.testing.assert_allclose(timed.base[: timed.grasp_index], np.tile(PATHS["curve"][0], (1, 1)))
     np.testing.assert_allclose(timed.base[-1], PATHS["curve"][-1], atol=1e-6)
@@ -110,8 +105,8 @@ def test_a_timed_plan_tells_where_the_base_is(robot: Robot, tmp_path: Path) -> N
     assert {"base_x_velocity", "base_y_velocity", "base_yaw_velocity"} <= set(rows[0])
 
 
-def test_a_base_that_stands_still_adds_nothing(robot: Robot) -> None:
-    motion = replace(motion_of(robot, PATHS["curve"]), base=None)
-    timed = time_motion(robot, motion, DEFAULT, STEP)[1]
+def test_a_base_that_stands_still_adds_nothing(segway: Robot) -> None:
+    motion = replace(motion_of(segway, PATHS["curve"]), base=None)
+    timed = time_motion(segway, motion, DEFAULT, STEP)[1]
     assert timed.base is None
-    assert timed.q.shape[1] == len(robot.moved_joints)
+    assert timed.q.shape[1] == len(segway.moved_joints)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,27 +43,24 @@ def answer_of(robot: Robot, scene: Scene, name: str, to: float) -> PlacementResu
 
 @pytest.mark.parametrize(("side", "hinge"), [(1, DOWN), (-1, UP)])
 def test_a_yes_names_the_springs_on_which_it_depends_and_no_others(
-    side: int, hinge: str, robots: Callable[[str], Robot], tmp_path: Path
+    side: int, hinge: str, tmp_path: Path, fetch: Robot
 ) -> None:
     """A dishwasher's door and a lift-up door, too heavy without springs or light."""
-    robot = robots("fetch")
     heavy = furniture_room(tmp_path, [carcass(), flap(side, 40.0), hinge])
-    found = answer_of(robot, heavy, "hinge", 0.9)
+    found = answer_of(fetch, heavy, "hinge", 0.9)
     assert found.plan.status == "solved"
     (note,) = [note for note in found.notes if SPRINGS in note]
     assert note.startswith(f"{SPRINGS} cupboard/hinge; without them, ")
     assert found.plan.resistance["cupboard"]["hinge"].balanced
     weighed = heavy.with_resistance({"cupboard": {"hinge": JointResistance(balanced=False)}})
-    assert answer_of(robot, weighed, "hinge", 0.9).plan.status == "infeasible"
+    assert answer_of(fetch, weighed, "hinge", 0.9).plan.status == "infeasible"
     borne = heavy.with_resistance({"cupboard": {"hinge": JointResistance(balanced=True)}})
-    assert not any(SPRINGS in note for note in answer_of(robot, borne, "hinge", 0.9).notes)
+    assert not any(SPRINGS in note for note in answer_of(fetch, borne, "hinge", 0.9).notes)
     light = furniture_room(tmp_path, [carcass(), flap(side, 0.5), hinge])
-    assert not any(SPRINGS in note for note in answer_of(robot, light, "hinge", 0.9).notes)
+    assert not any(SPRINGS in note for note in answer_of(fetch, light, "hinge", 0.9).notes)
 
 
-def test_a_no_that_is_due_to_assumed_springs_says_so(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_no_that_is_due_to_assumed_springs_says_so(tmp_path: Path, fetch: Robot) -> None:
     """The weight of a lift-up door helps to close it against its friction."""
     hinge = UP.replace("</joint>", '<dynamics friction="45"/></joint>')
     parts = [carcass(), flap(-1, 16.0), hinge]
@@ -72,44 +68,42 @@ def test_a_no_that_is_due_to_assumed_springs_says_so(
     grasps = GraspConfig(families=("pinch",))
     config = replace(QUICK, motion=replace(QUICK.motion, grasps=grasps))
     task = make_task(scene, "close", "cupboard", "hinge", 0.9)
-    answer = plan_base_placement(scene, robots("fetch"), task, config=config)
+    answer = plan_base_placement(scene, fetch, task, config=config)
     assert answer.plan.status == "infeasible"
     words = "feasible without springs that bear the weight of cupboard/hinge, from"
     assert with_advice(answer).plan.advice.startswith(words)
     weighed = scene.with_resistance({"cupboard": {"hinge": JointResistance(balanced=False)}})
-    assert (
-        plan_base_placement(weighed, robots("fetch"), task, config=config).plan.status == "solved"
-    )
+    assert plan_base_placement(weighed, fetch, task, config=config).plan.status == "solved"
 
 
 @pytest.mark.parametrize("kind", ["a lever", "a sliding bolt"])
 def test_a_yes_that_leaves_a_possible_latch_alone_names_it(
-    kind: str, robots: Callable[[str], Robot], tmp_path: Path
+    kind: str, tmp_path: Path, fetch: Robot
 ) -> None:
     scene = furniture_room(tmp_path, LATCHES[kind][0])
-    found = answer_of(robots("fetch"), scene, "hinge", np.pi / 4)
+    found = answer_of(fetch, scene, "hinge", np.pi / 4)
     assert found.plan.status == "solved"
     assert [note for note in found.notes if note.startswith("turn stays as it is, on the guess")]
 
 
 def test_a_yes_names_a_leaf_on_the_part_that_may_swing_by_itself(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     handle = ((0.02, 0.02, 0.16), (-0.05, 0.53, 0.1))
     door = link("door", ((0.02, 0.59, 0.88), (0, 0.295, 0)), handle=handle)
     leaf = link("grip", ((0.02, 0.3, 0.4), (-0.04, -0.2, -0.25)))
     swings = turning("revolute", (0, 0, 1), (0, 1.5))
     scene = furniture_room(tmp_path, [carcass(), door, HINGE, leaf, swings])
-    found = answer_of(robots("fetch"), scene, "hinge", 0.6)
+    found = answer_of(fetch, scene, "hinge", 0.6)
     assert found.plan.status == "solved"
     assert [note for note in found.notes if note.startswith("turn on the part counts as held")]
 
 
 def test_a_yes_names_the_friction_of_the_file_that_most_of_the_pull_is_due_to(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     hinge = UP.replace("</joint>", '<dynamics friction="9"/></joint>')
     scene = furniture_room(tmp_path, [carcass(), flap(-1, 2.0), hinge])
-    found = answer_of(robots("fetch"), scene, "hinge", 0.6)
+    found = answer_of(fetch, scene, "hinge", 0.6)
     assert found.plan.status == "solved"
     assert "most of the pull is due to 9 Nm by <dynamics friction> of hinge" in found.notes

@@ -51,6 +51,9 @@ def plan_cabinet(
 def leads_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> bool:
     """Return whether a path leads from the base pose back to the start, past the open door."""
     task, scene = answer.plan.task, answer.prepared.scene
+    assert task.joint is not None
+    assert task.to is not None
+    assert answer.plan.base_pose is not None
     after = scene.with_joint(task.object, task.joint, task.to)
     base = np.array(answer.plan.base_pose)
     return plan_path(build_navigation_map(after, robot), base, goal) is not None

@@ -13,7 +13,7 @@ from tests.rooms import Everywhere
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -91,35 +91,35 @@ def test_a_doorway_too_narrow_for_all_ways_to_carry_is_a_no(tmp_path: Path) -> N
     assert "no base path with bar in the hand" in plan.candidates.rejections
 
 
-def test_verify_sees_what_is_carried(tmp_path: Path) -> None:
+def test_verify_sees_what_is_carried(tmp_path: Path, segway: Robot) -> None:
     """At home, the bar is across the way of the robot."""
-    scene, robot = room(tmp_path, 1.3), load_robot("segway_ur5e")
+    scene = room(tmp_path, 1.3)
     wide = scene.without("left").without("right")
     plan = plan_placement(question(wide, "segway_ur5e")).plan
-    assert np.allclose(robot.chain.freedom_values(plan.motion.approach[0]), robot.home)
+    assert np.allclose(segway.chain.freedom_values(plan.motion.approach[0]), segway.home)
     write_plan(replace(plan, scene=str(tmp_path / "room.json")), tmp_path / "plan.json")
     report = verify_files(tmp_path / "plan.json")
     assert [check.name for check in report.violations] == [DRIVE]
     assert "bar" in report.violations[0].detail
 
 
-def test_a_drive_in_closed_loop_holds_the_object(tmp_path: Path) -> None:
-    scene, robot = room(tmp_path, 1.3), load_robot("segway_ur5e")
+def test_a_drive_in_closed_loop_holds_the_object(tmp_path: Path, segway: Robot) -> None:
+    scene = room(tmp_path, 1.3)
     plan = plan_placement(question(scene, "segway_ur5e")).plan
-    carrier, held = carrier_of(plan, scene, robot)
+    carrier, held = carrier_of(plan, scene, segway)
     assert held is not None
     ground = build_navigation_map(scene, carrier, (), held)
     goal = np.array(plan.base_pose)
     assert drive(ground, START, goal, rng=np.random.default_rng(0)).arrived
-    at_home = build_navigation_map(scene, robot, (), held)
+    at_home = build_navigation_map(scene, segway, (), held)
     blocked = drive(at_home, START, goal, rng=np.random.default_rng(0))
     assert not blocked.arrived
 
 
-def test_prisms_contain_what_is_held(tmp_path: Path) -> None:
-    scene, robot = room(tmp_path, 1.3), load_robot("segway_ur5e")
+def test_prisms_contain_what_is_held(tmp_path: Path, segway: Robot) -> None:
+    scene = room(tmp_path, 1.3)
     plan = plan_placement(question(scene, "segway_ur5e")).plan
-    carrier, held = carrier_of(plan, scene, robot)
+    carrier, held = carrier_of(plan, scene, segway)
     prisms = prisms_of(carrier, held)
     T = carrier.chain.tool_poses(carrier.home[None])[0]
     corners = np.concatenate(held.hulls) @ T[:3, :3].T + T[:3, 3]

@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 from tests.rooms import cabinet_room
 
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning import chains
 from momapos.planning.chains import plan_chain, without_part
 from momapos.planning.config import PipelineConfig
@@ -25,11 +24,6 @@ from momapos.planning.tour import Request, Tour, plan_requests
 CONFIG = PipelineConfig(place=PlaceConfig(grid=False), timeout=300.0)
 DRAWER = ("cabinet_right", "drawer_middle_slide")
 MUG = ', {{"name": "mug", "pose": {{"xyz": [{x}, -0.1, {z}]}}, "box": [0.06, 0.06, 0.1]}}'
-
-
-@pytest.fixture(scope="module")
-def segway() -> Robot:
-    return load_robot("segway_ur5e")
 
 
 def infeasible(answer: PlacementResult) -> PlacementResult:
@@ -62,9 +56,8 @@ def chain(scene: Scene, robot: Robot, requests: Sequence[Request]) -> Tour:
 
 
 def test_a_drawer_opens_to_the_value_nearest_to_the_usual_one_that_the_next_task_allows(
-    segway: Robot, monkeypatch: pytest.MonkeyPatch
+    segway: Robot, monkeypatch: pytest.MonkeyPatch, kitchen: Scene
 ) -> None:
-    kitchen = load_scene("kitchen_small")
     usual = make_task(kitchen, "open", *DRAWER).to
     refuse_beyond(0.7 * usual, monkeypatch)
     requests = [Request("open", *DRAWER), Request("pick", "bottle"), Request("close", *DRAWER)]
@@ -79,9 +72,8 @@ def test_a_drawer_opens_to_the_value_nearest_to_the_usual_one_that_the_next_task
 
 
 def test_a_value_that_the_user_names_is_kept(
-    segway: Robot, monkeypatch: pytest.MonkeyPatch
+    segway: Robot, monkeypatch: pytest.MonkeyPatch, kitchen: Scene
 ) -> None:
-    kitchen = load_scene("kitchen_small")
     refuse_beyond(0.2, monkeypatch)
     tour = chain(kitchen, segway, [Request("open", *DRAWER, 0.3), Request("pick", "bottle")])
     assert tour.status == "infeasible"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,26 +56,24 @@ def plan(
 
 
 @pytest.mark.parametrize("name", SOLVED)
-def test_a_public_case_is_solved(robots: Callable[[str], Robot], tmp_path: Path, name: str) -> None:
+def test_a_public_case_is_solved(tmp_path: Path, name: str, fetch: Robot) -> None:
     scene = load_scene(optional.there(CASES / "furniture" / name))
-    answer = plan(scene, robots("fetch"), *SOLVED[name], folder=tmp_path)
+    answer = plan(scene, fetch, *SOLVED[name], folder=tmp_path)
     if name == "vtable.json":
         low, high = scene.object("table").bounds[:, :2]
         at = answer.plan.base_path[:, :2]
         assert not ((at > low) & (at < high)).all(1).any(), "the base drives around the table"
 
 
-def test_a_start_next_to_a_round_table_is_free(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_start_next_to_a_round_table_is_free(tmp_path: Path, fetch: Robot) -> None:
     scene = load_scene(optional.there(CASES / "furniture/round_mesh.json"))
     start = np.array([0.0, -0.42, 0.0])
-    plan(scene, robots("fetch"), "open", "cupboard", "hinge", folder=tmp_path, start=start)
+    plan(scene, fetch, "open", "cupboard", "hinge", folder=tmp_path, start=start)
 
 
 @pytest.mark.parametrize("drawn", ["body", "door", "both"])
 def test_a_cupboard_that_is_only_drawn_opens_as_a_solid_one(
-    robots: Callable[[str], Robot], tmp_path: Path, drawn: str
+    tmp_path: Path, drawn: str, fetch: Robot
 ) -> None:
     body, door = carcass(), link("door", ((0.02, 0.59, 0.88), (0, 0.295, 0)), handle=HANDLE)
     poses = []
@@ -87,7 +84,7 @@ def test_a_cupboard_that_is_only_drawn_opens_as_a_solid_one(
         ]
         room = furniture_room(tmp_path, [*parts, HINGE])
         scene = save_scene(room, tmp_path / "scene.json")
-        answer = plan(scene, robots("fetch"), "open", "cupboard", "hinge", folder=tmp_path)
+        answer = plan(scene, fetch, "open", "cupboard", "hinge", folder=tmp_path)
         poses.append(answer.plan.base_pose)
     assert poses[0] == poses[1]
 
@@ -104,21 +101,17 @@ def mesh_object(folder: Path, name: str, boxes: tuple[given.Box, ...], x: float)
     ("name", "boxes", "z"), [("bookcase", given.SHELVES, 0.655), ("table", given.table(), 0.755)]
 )
 def test_an_object_is_picked_from_furniture_of_one_mesh(
-    robots: Callable[[str], Robot],
-    tmp_path: Path,
-    name: str,
-    boxes: tuple[given.Box, ...],
-    z: float,
+    tmp_path: Path, name: str, boxes: tuple[given.Box, ...], z: float, fetch: Robot
 ) -> None:
     stand = mesh_object(tmp_path, name, boxes, 0.8)
     can = SceneObject.box("can", (0.05, 0.05, 0.1), (0.75 if name == "bookcase" else 0.4, 0, z))
     room = Scene("room", (stand, can), start=np.array([-1.5, 0.0, 0.0]))
     scene = save_scene(room, tmp_path / "scene.json")
-    plan(scene, robots("fetch"), "pick", "can", folder=tmp_path)
+    plan(scene, fetch, "pick", "can", folder=tmp_path)
 
 
 def test_reasons_name_the_hull_of_a_moving_mesh_and_the_piece_of_one_that_stands_still(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     rim: given.Box = ((-0.25, -0.26, -0.1), (-0.23, 0.26, 0.1))
     bottom: given.Box = ((-0.23, -0.26, -0.1), (0.2, 0.26, -0.09))
@@ -130,12 +123,12 @@ def test_reasons_name_the_hull_of_a_moving_mesh_and_the_piece_of_one_that_stands
         "</geometry></collision></link>"
     )
     scene = furniture_room(tmp_path, [carcass(), drawer, SLIDE])
-    robot, config = robots("fetch"), PipelineConfig()
+    config = PipelineConfig()
     names = []
     for request in (("open", "cupboard", "slide"), ("pick", "cup")):
         cup = SceneObject.box("cup", (0.05, 0.05, 0.1), (0.4, 0.0, 0.95))
         room = replace(scene, objects=(*scene.objects, cup))
-        ready = prepare(room, robot, make_task(room, *request), config, clearance=0.03)
+        ready = prepare(room, fetch, make_task(room, *request), config, clearance=0.03)
         verifier = ready.verifier
         exact = {*verifier.part.shapes.names, *verifier.fixed.names}
         assert {n for n in exact if "tray" in n} == {n for n in ready.motion.labels if "tray" in n}

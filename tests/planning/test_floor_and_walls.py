@@ -6,7 +6,6 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,9 +55,9 @@ def plan(scene: Scene, robot: Robot, *request: str | None) -> PlacementResult:
 
 @pytest.mark.parametrize(("height", "contact", "end"), [(0.03, 25, 24), (0.04, 40, 40)])
 def test_a_drop_down_door_ends_where_it_meets_the_floor(
-    robots: Callable[[str], Robot], tmp_path: Path, height: float, contact: int, end: int
+    fetch: Robot, tmp_path: Path, height: float, contact: int, end: int
 ) -> None:
-    scene, fetch = drop_down_door(tmp_path, height), robots("fetch")
+    scene = drop_down_door(tmp_path, height)
     for to in (None, "max"):
         answer = plan(scene, fetch, "open", "cupboard", None, to)
         assert answer.plan.status == "solved", answer.plan.candidates
@@ -72,9 +71,9 @@ def test_a_drop_down_door_ends_where_it_meets_the_floor(
 
 
 def test_a_goal_below_the_floor_is_refused_with_the_value_of_contact(
-    robots: Callable[[str], Robot], tmp_path: Path
+    fetch: Robot, tmp_path: Path
 ) -> None:
-    scene, fetch = drop_down_door(tmp_path), robots("fetch")
+    scene = drop_down_door(tmp_path)
     refused = plan(scene, fetch, "open", "cupboard", "hinge", "40deg")
     assert refused.plan.status == "infeasible"
     reason = "cupboard/door meets the floor at 25 deg, moving from 0 to 40 deg"
@@ -83,11 +82,9 @@ def test_a_goal_below_the_floor_is_refused_with_the_value_of_contact(
     assert stated.plan.feasible_to == pytest.approx(math.radians(24))
 
 
-def test_a_public_drop_down_door_meets_the_floor_at_25_degrees(
-    robots: Callable[[str], Robot],
-) -> None:
+def test_a_public_drop_down_door_meets_the_floor_at_25_degrees(fetch: Robot) -> None:
     scene = load_scene(optional.there(CASES / "furniture" / "dropdoor.json"))
-    refused = plan(scene, robots("fetch"), "open", "chest", "hinge", "40deg").plan
+    refused = plan(scene, fetch, "open", "chest", "hinge", "40deg").plan
     assert list(refused.candidates.rejections) == [
         "chest/door meets the floor at 25 deg, moving from 0 to 40 deg"
     ]
@@ -96,11 +93,11 @@ def test_a_public_drop_down_door_meets_the_floor_at_25_degrees(
 
 
 def test_both_verifiers_measure_the_same_depth_below_the_floor(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     optional.there(TOOLS / "verify_plan.py")
     scene = drop_down_door(tmp_path)
-    write_plan(plan(scene, robots("fetch"), "open", "cupboard").plan, tmp_path / "plan.json")
+    write_plan(plan(scene, fetch, "open", "cupboard").plan, tmp_path / "plan.json")
     text = (tmp_path / "scene.json").read_text()
     for sunk in (0.0, 0.006, 0.03, 0.05):
         data = json.loads(text)
@@ -116,13 +113,11 @@ def test_both_verifiers_measure_the_same_depth_below_the_floor(
         assert ours.value == pytest.approx(theirs["value"], abs=0.2)
 
 
-def test_a_carried_object_stays_above_the_floor(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_carried_object_stays_above_the_floor(fetch: Robot, tmp_path: Path) -> None:
     stick = SceneObject.box("stick", (0.03, 0.03, 0.3), (0.8, 0.0, 0.65))
     table = SceneObject.box("table", (0.4, 0.4, 0.5), (0.8, 0.0, 0.25))
     room = Scene("room", (table, stick), start=np.array([-1.0, 0.0, 0.0]))
-    scene, fetch = save_scene(room, tmp_path / "scene.json"), robots("fetch")
+    scene = save_scene(room, tmp_path / "scene.json")
     answer = plan(scene, fetch, "pick", "stick")
     base, up = answer.plan.base_pose, answer.plan.motion
     down = replace(up, q=up.q[::-1], Ts_world_tool=up.Ts_world_tool[::-1])
@@ -169,10 +164,10 @@ def lowest_y(answer: PlacementResult) -> float:
 
 
 def test_without_walls_the_answer_states_how_far_the_arm_leaves_the_floor(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     scene = load_scene(corner_room(tmp_path))
-    answer = plan(scene, robots("fetch"), "open", "cupboard", "hinge", "85deg")
+    answer = plan(scene, fetch, "open", "cupboard", "hinge", "85deg")
     assert answer.plan.status == "solved", answer.plan.candidates
     outside = -0.35 - lowest_y(answer)
     assert outside > 0.05
@@ -183,25 +178,21 @@ def test_without_walls_the_answer_states_how_far_the_arm_leaves_the_floor(
     assert note in verify_files(tmp_path / "plan.json").notes
 
 
-def test_with_walls_along_the_floor_arm_and_part_stay_inside(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_with_walls_along_the_floor_arm_and_part_stay_inside(tmp_path: Path, fetch: Robot) -> None:
     scene = load_scene(corner_room(tmp_path, walls="floor"))
-    answer = plan(scene, robots("fetch"), "open", "cupboard", "hinge", "85deg")
+    answer = plan(scene, fetch, "open", "cupboard", "hinge", "85deg")
     assert answer.plan.status == "solved", answer.plan.candidates
     assert lowest_y(answer) > -0.353
     assert answer.notes == ()
 
 
 @pytest.mark.parametrize("file", ["room.json", "walls.json"])
-def test_in_a_public_kitchen_walls_keep_the_arm_inside(
-    robots: Callable[[str], Robot], file: str
-) -> None:
+def test_in_a_public_kitchen_walls_keep_the_arm_inside(file: str, fetch: Robot) -> None:
     folder = optional.there(CASES / "rooms" / "kitchen_floor_no_walls")
     scene = load_scene(folder / file)
-    open_room = plan(scene, robots("fetch"), "open", "fridge", "fridge_door", "80deg")
+    open_room = plan(scene, fetch, "open", "fridge", "fridge_door", "80deg")
     assert open_room.plan.status == "solved"
-    closed = plan(scene.with_walls(), robots("fetch"), "open", "fridge", "fridge_door", "80deg")
+    closed = plan(scene.with_walls(), fetch, "open", "fridge", "fridge_door", "80deg")
     assert closed.plan.status == "solved"
     assert closed.notes == ()
 

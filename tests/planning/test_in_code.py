@@ -18,7 +18,6 @@ from momapos import (
     Task,
     check_base_pose,
     load_reach_map,
-    load_robot,
     load_scene,
     make_task,
     plan_base_placement,
@@ -33,23 +32,13 @@ CUPBOARD = Path(__file__).parents[2] / "examples" / "cupboard.urdf"
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
 def task(kitchen: Scene) -> Task:
     return make_task(kitchen, "open", "fridge", "door_hinge")
 
 
 @pytest.fixture(scope="module")
-def plan(kitchen: Scene, robot: Robot, task: Task) -> PlacementPlan:
-    return plan_base_placement(kitchen, robot, task).plan
+def plan(kitchen: Scene, segway: Robot, task: Task) -> PlacementPlan:
+    return plan_base_placement(kitchen, segway, task).plan
 
 
 def test_a_box_is_at_its_given_pose() -> None:
@@ -81,16 +70,17 @@ def test_a_saved_scene_knows_its_file(tmp_path: Path) -> None:
 
 
 def test_the_base_pose_of_an_answer_is_feasible_and_a_blocked_one_has_a_reason(
-    kitchen: Scene, robot: Robot, task: Task, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, task: Task, plan: PlacementPlan
 ) -> None:
     assert plan.base_pose is not None
-    blocked = check_base_pose(kitchen, robot, task, (0.6, -0.3, np.pi / 2))
+    assert check_base_pose(kitchen, segway, task, plan.base_pose).motion is not None
+    blocked = check_base_pose(kitchen, segway, task, (0.6, -0.3, np.pi / 2))
     assert blocked.motion is None
     assert blocked.reason == "base in collision"
 
 
-def test_the_score_of_a_base_pose_is_that_of_the_tool_pose_in_its_frame(robot: Robot) -> None:
-    reach = load_reach_map(robot)
+def test_the_score_of_a_base_pose_is_that_of_the_tool_pose_in_its_frame(segway: Robot) -> None:
+    reach = load_reach_map(segway)
     T = np.eye(4)
     T[:3, 3] = 0.4, 0.2, 1.1
     poses = np.random.default_rng(0).uniform([-1, -1, -3], [1, 1, 3], (200, 3))
@@ -99,8 +89,8 @@ def test_the_score_of_a_base_pose_is_that_of_the_tool_pose_in_its_frame(robot: R
     assert (one_by_one > 0).any()
 
 
-def test_a_timed_plan_passes_through_its_states(robot: Robot, plan: PlacementPlan) -> None:
-    timed = time_plan(plan, robot)
+def test_a_timed_plan_passes_through_its_states(segway: Robot, plan: PlacementPlan) -> None:
+    timed = time_plan(plan, segway)
     assert (np.diff(timed.times) > 0).all()
     np.testing.assert_allclose(timed.positions[0], plan.motion.approach[0], atol=1e-9)
     np.testing.assert_allclose(timed.positions[timed.grasp_index], plan.motion.q[0], atol=1e-9)
@@ -108,21 +98,21 @@ def test_a_timed_plan_passes_through_its_states(robot: Robot, plan: PlacementPla
     np.testing.assert_allclose(timed.velocities[[0, timed.grasp_index, -1]], 0.0, atol=1e-2)
 
 
-def test_a_plan_with_times_is_as_fast_as_its_trajectory(robot: Robot, plan: PlacementPlan) -> None:
-    motion = with_times(plan, robot).motion
+def test_a_plan_with_times_is_as_fast_as_its_trajectory(segway: Robot, plan: PlacementPlan) -> None:
+    motion = with_times(plan, segway).motion
     assert len(motion.approach_times) == len(motion.approach)
     assert len(motion.times) == len(motion.q)
     whole = motion.approach_times[-1] + motion.times[-1]
-    assert whole == pytest.approx(time_plan(plan, robot).times[-1], rel=0.1)
+    assert whole == pytest.approx(time_plan(plan, segway).times[-1], rel=0.1)
 
 
-def test_a_slower_plan_takes_longer(robot: Robot, plan: PlacementPlan) -> None:
+def test_a_slower_plan_takes_longer(segway: Robot, plan: PlacementPlan) -> None:
     slow = SpeedConfig(approach_speed=0.1, manipulation_speed=0.1)
-    assert time_plan(plan, robot, slow).times[-1] > 1.5 * time_plan(plan, robot).times[-1]
+    assert time_plan(plan, segway, slow).times[-1] > 1.5 * time_plan(plan, segway).times[-1]
 
 
-def test_a_trajectory_is_written_as_csv(robot: Robot, plan: PlacementPlan, tmp_path: Path) -> None:
-    timed = time_plan(plan, robot)
+def test_a_trajectory_is_written_as_csv(segway: Robot, plan: PlacementPlan, tmp_path: Path) -> None:
+    timed = time_plan(plan, segway)
     timed.write_csv(tmp_path / "out.csv")
     head, *rows = csv.reader((tmp_path / "out.csv").read_text().splitlines())
     assert head[: 1 + len(timed.joints)] == ["time", *timed.joints]
@@ -131,6 +121,6 @@ def test_a_trajectory_is_written_as_csv(robot: Robot, plan: PlacementPlan, tmp_p
     np.testing.assert_allclose(columns[1 : 1 + len(timed.joints)].T, timed.positions, atol=1e-6)
 
 
-def test_a_plan_without_an_answer_has_no_trajectory(robot: Robot, plan: PlacementPlan) -> None:
+def test_a_plan_without_an_answer_has_no_trajectory(segway: Robot, plan: PlacementPlan) -> None:
     with pytest.raises(InputError, match="infeasible"):
-        time_plan(replace(plan, status="infeasible", motion=None, base_pose=None), robot)
+        time_plan(replace(plan, status="infeasible", motion=None, base_pose=None), segway)

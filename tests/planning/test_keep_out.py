@@ -13,7 +13,7 @@ from momapos.core.geometry.polygons import any_overlap
 from momapos.core.geometry.transforms import place_points
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import BaseRegion, Outline
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning.grasps.task_requests import make_task
@@ -86,11 +86,11 @@ def test_verify_finds_areas_that_the_base_crosses(tmp_path: Path, area: Outline)
         assert [check.name for check in report.violations] == ([] if valid else [name])
 
 
-def test_a_drive_in_closed_loop_keeps_out(tmp_path: Path) -> None:
-    scene, robot = room(tmp_path), load_robot("segway_ur5e")
+def test_a_drive_in_closed_loop_keeps_out(tmp_path: Path, segway: Robot) -> None:
+    scene = room(tmp_path)
     goal = np.array([0.0, -1.6, np.pi / 2])
-    nav_map = build_navigation_map(scene, robot, (LEFT_OPEN,))
+    nav_map = build_navigation_map(scene, segway, (LEFT_OPEN,))
     driven = drive(nav_map, START, goal, rng=np.random.default_rng(0))
     assert driven.arrived
-    outlines = place_points(driven.poses, robot.base_outline)
+    outlines = place_points(driven.poses, segway.base_outline)
     assert not any_overlap(np.array(LEFT_OPEN), outlines).any()

@@ -117,6 +117,7 @@ def test_a_task_on_a_follower_moves_its_leader_and_everything_that_follows(
     answer = plan(scene, robots("fetch"), "open", "cupboard", follower, folder=tmp_path)
     task, motion = answer.plan.task, answer.plan.motion
     assert (task.joint, task.follower) == (leader, follower)
+    assert motion is not None
     # The hand keeps its pose in the link that it holds, wherever the model puts that link.
     item, ends = scene.object("cupboard"), (0, motion.holds[0].last)
     held = next(o.carrier for o in answer.prepared.motion.grasps.handles)

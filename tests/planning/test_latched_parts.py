@@ -73,6 +73,8 @@ def test_the_hand_turns_a_latch_and_holds_on_as_the_part_opens(
     # It leaves the latch in its place, so the hand that turned with it is in its bar there.
     check_independently(path, but_for="open hand in the part")
     # Two phases: the latch turns while the part rests, then the part moves with the turned latch.
+    assert motion.latch_q is not None
+    assert answer.plan.task.joint is not None
     first = motion.holds[0].first
     assert first > 0
     np.testing.assert_array_equal(motion.object_q[: first + 1], motion.object_q[0])
@@ -150,6 +152,7 @@ def test_the_exact_check_wants_the_latch_turned_by_the_hand_before_the_part_move
     lever_answer: PlacementResult, lever_room: Scene, robots: Callable[[str], Robot]
 ) -> None:
     plan, motion = lever_answer.plan, motion_of(lever_answer)
+    assert plan.base_pose is not None
     verifier = PlanVerifier(lever_room, robots("fetch"), plan.task)
     assert verifier.check(plan.base_pose, motion).valid
     with unchecked():
@@ -261,6 +264,7 @@ def test_a_long_bar_is_a_latch_as_well(robots: Callable[[str], Robot], tmp_path:
     scene = furniture_room(tmp_path, parts)
     item = replace(scene.objects[0], latch=Latch("turn", -0.4, "hinge"))
     scene = save_scene(replace(scene, objects=(item,)), tmp_path / "scene.json")
+    assert motion_of(answer_of(scene, robots("fetch"))).latch_q is not None
 
 
 def test_a_tour_takes_another_grasp_once_a_latched_door_is_ajar(

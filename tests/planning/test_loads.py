@@ -42,6 +42,7 @@ def test_a_heavier_object_within_the_payload_is_in_the_plan(kitchen: Scene, robo
     heavy = kitchen.with_mass("apple", 2.0)
     plan = plan_base_placement(heavy, robots("fetch"), make_task(heavy, "pick", "apple")).plan
     assert plan.status == "solved"
+    assert plan.loads is not None
     assert plan.loads.payload == 2.0
     assert "2 kg in the hand" in str(plan.loads)
 
@@ -52,6 +53,7 @@ def test_a_motor_too_weak_for_the_pull_is_named(
     strong = robots("segway_ur5e")
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     plan = plan_base_placement(kitchen, strong, task).plan
+    assert plan.base_pose is not None
     weak = with_urdf(tmp_path, ('effort="150"', 'effort="40"'))
     attempt = check_base_pose(kitchen, weak, task, plan.base_pose)
     assert attempt.motion is None
@@ -63,6 +65,7 @@ def test_the_answer_says_which_efforts_are_unknown(kitchen: Scene, tmp_path: Pat
     robot = with_urdf(tmp_path, ('effort="28"', 'effort="0"'))
     task = make_task(kitchen, "open", "cabinet_left", "drawer_slide")
     loads = plan_base_placement(kitchen, robot, task).plan.loads
+    assert loads is not None
     assert set(loads.efforts) == {"shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"}
     (note,) = loads.notes
     assert note.startswith("no effort limit is known for wrist_1_joint, ")
@@ -86,6 +89,7 @@ def test_a_part_that_tips_the_robot_over_is_left_closed(kitchen: Scene, robots: 
     config = PipelineConfig(place=PlaceConfig(rounds=1, grid=False), base="fixed")
     plan = plan_base_placement(scene, robot, task, config=config).plan
     assert plan.status == "infeasible"
+    assert plan.candidates.nearest is not None
     assert plan.candidates.nearest.reason.startswith("stretch would tip over at ")
     assert "stretch would tip over" in plan.candidates.rejections
 

@@ -44,6 +44,8 @@ def moving(scene: Scene, robot: str, item: str, joint: str) -> PlacementResult:
 
 def known(answer: PlacementResult) -> tuple[Motion, np.ndarray]:
     motion = answer.plan.motion
+    assert motion is not None
+    assert motion.base is not None
     return motion, motion.base
 
 
@@ -76,6 +78,8 @@ def test_a_moving_base_opens_the_part_and_the_file_is_valid(
 
 def known_base(path: Path) -> np.ndarray:
     motion = read_plan(path).motion
+    assert motion is not None
+    assert motion.base is not None
     return motion.base
 
 
@@ -100,11 +104,14 @@ def test_each_drive_moves_doors_flaps_and_drawers_open_or_closed(
     own = load_robot(robot)
     moves = replace(own, drive=drive, min_turning_radius=1.0 if drive == "car" else 0.0)
     wide = np.pi / 4 if item == "dishwasher" else make_task(kitchen, "open", item, joint).to
+    assert wide is not None
     scene = kitchen if verb == "open" else kitchen.with_joint(item, joint, wide)
     task = make_task(scene, verb, item, joint, wide if verb == "open" else None)
     query = PlacementQuery.of(scene, moves, task, load_reach(own), clock=time.process_time)
     plan = plan_moving(query).plan
     assert plan.base_pose is not None, plan.candidates
+    assert plan.motion is not None
+    assert plan.motion.base is not None
     verifier = PlanVerifier(with_assumptions(scene, plan), moves, task)
     assert verifier.first_violation(plan.base_pose, plan.motion) is None
     way = local_points(plan.motion.base[0], plan.motion.base[:, :2])
@@ -161,6 +168,7 @@ def test_a_refusal_tells_reach_from_load(kitchen: Scene) -> None:
     counts, nearest = plan.candidates.rejections, plan.candidates.nearest
     assert sum(counts.values()) == plan.candidates.sampled
     assert {"base in collision", "beyond the arm's reach", "stretch would tip over"} <= set(counts)
+    assert nearest is not None
     assert nearest.reason.startswith("stretch would tip over at waypoint ")
 
 

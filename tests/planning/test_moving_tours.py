@@ -30,6 +30,7 @@ def test_a_tour_goes_on_from_where_a_moving_base_has_stopped(tmp_path: Path) -> 
     first, second = (step.plan for step in tour.steps)
     assert first.moves_base
     assert second.moves_base
+    assert first.base_pose is not None
     assert second.start == first.final_base_pose
     assert np.abs(np.subtract(second.start or (), first.base_pose)).max() > 0.05
     file = tmp_path / "tour.json"

@@ -80,7 +80,8 @@ def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("name", "width"), [("ranger_rm63", 0.5), pytest.param("tiago", 0.54, marks=pytest.mark.slow)]
+    ("name", "width"),
+    [("ranger_rm63", 0.5), pytest.param("tiago", 0.54, marks=pytest.mark.slow)],
 )
 def test_arms_are_checked_at_few_of_the_base_poses_that_are_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, width: float

@@ -54,6 +54,7 @@ def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(
     ] * 3
     still, _, moving = plan.notes
     assert "no motion even to 11 deg was found: " in still
+    assert plan.feasible_to is not None
     assert not plan.feasible_sure
     assert moving.startswith(
         f"{USES[2]}the part moves at least to {np.degrees(plan.feasible_to):.0f} deg; no motion to "

@@ -49,10 +49,13 @@ def test_a_bar_within_reach_is_held_if_another_bar_is_out_of_reach(
     answer = plan_base_placement(scene, robot, task, config=config, clock=time.process_time)
     assert answer.plan.status == "solved", answer.plan.candidates
     motion = answer.plan.motion
+    assert motion is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
     tolerance = with_tolerance(answer, samples=10, clock=time.process_time).plan.tolerance
+    assert tolerance is not None
     assert tolerance.radius > 0.0
     base = answer.plan.base_pose
+    assert base is not None
     query = PlacementQuery(
         scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
     )
@@ -76,6 +79,7 @@ def test_a_moving_base_opens_a_door_by_the_bar_within_reach(tmp_path: Path, robo
     answer = plan_moving(query)
     assert answer.plan.status == "solved", answer.plan.candidates
     motion = answer.plan.motion
+    assert motion is not None
     assert motion.base is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
 

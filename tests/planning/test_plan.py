@@ -65,6 +65,8 @@ def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_p
 def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path: Path) -> None:
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     here = plan_cabinet(scene, robot)
+    assert here.plan.motion is not None
+    assert here.plan.base_pose is not None
     x, y, yaw = here.plan.base_pose
     for shift in ((2.0, -1.0, 0.0), (0.3, 0.7, 0.4)):
         moved = move_scene(scene, *shift)
@@ -75,6 +77,7 @@ def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path
         motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
         assert PlanVerifier(moved, robot, here.plan.task).check(carried, motion).valid
         there = plan_cabinet(moved, robot)
+        assert there.plan.base_pose is not None
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
 
 
@@ -84,6 +87,7 @@ def test_an_opening_motion_in_reverse_closes_the_door(
     scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
     opened = plan_cabinet(scene, robot).plan
     assert opened.motion is not None
+    assert opened.base_pose is not None
     ajar = scene.with_joint("cabinet", "hinge", 1.2)
     task = make_task(ajar, "close", "cabinet")
     m = opened.motion
@@ -205,6 +209,7 @@ def test_each_further_step_ends_with_its_clock(robots: Callable[[str], Robot]) -
             assert plan_chain(timed, requests).status == "timeout"
         assert timed.watch.clock.looks > -60
         timed = replace(query, watch=Stopwatch(Ending(looks)))
+        assert answer.plan.base_pose is not None
         with suppress(OutOfTimeError):
             plan_at_pose(timed, answer.plan.base_pose)
         assert timed.watch.clock.looks > -40

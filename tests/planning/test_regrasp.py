@@ -109,7 +109,9 @@ def test_both_grasps_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path
 def test_the_check_of_a_base_pose_finds_two_grasps(
     plan: PlacementPlan, kitchen: Scene, robot: Robot, reach: ReachMap
 ) -> None:
+    assert plan.base_pose is not None
     attempt = check_base_pose(kitchen, robot, plan.task, plan.base_pose, reach, how_far=False)
+    assert attempt.motion is not None
     assert len(attempt.motion.holds) == 2
 
 
@@ -117,6 +119,7 @@ def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
     answer: PlacementResult, kitchen: Scene, robot: Robot, reach: ReachMap
 ) -> None:
     found = answer.tolerance
+    assert found is not None
     assert found.radius > 0.0
     size, missed = np.array([found.radius, found.radius, found.turn]), []
     for offset in unit_offsets(10, np.random.default_rng(1)):
@@ -194,6 +197,7 @@ def test_a_door_next_to_a_wall_is_pushed_if_no_grasp_is_free_to_pull_it(
     found = plan_base_placement(scene, robot, task, reach).plan
     assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
     assert found.base_pose is not None
+    assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
 
 
 def test_after_a_push_the_arm_returns_home_if_configured(
@@ -204,7 +208,9 @@ def test_after_a_push_the_arm_returns_home_if_configured(
     plan = plan_base_placement(kitchen, robot, task, reach, config=config).plan
     motion = motion_of(plan)
     assert len(motion.holds) == 2
+    assert motion.home is not None
     np.testing.assert_allclose(motion.home[-1], robot.chain.joint_values(robot.home))
+    assert plan.base_pose is not None
     assert PlanVerifier(kitchen, robot, task).check(plan.base_pose, motion).valid
 
 

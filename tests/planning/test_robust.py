@@ -31,6 +31,7 @@ def test_replanning_succeeds_within_the_required_offsets(tmp_path: Path) -> None
     file = tmp_path / "plan.json"
     assert main([*SEGWAY, "--robust", "3cm,2deg", "--out", str(file)]) == 0
     plan = read_plan(file)
+    assert plan.tolerance is not None
     assert plan.tolerance.radius == pytest.approx(0.03)
     assert plan.tolerance.turn == pytest.approx(np.radians(2.0))
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")

@@ -50,6 +50,7 @@ def answer() -> PlacementResult:
 
 def motion_of(answer: PlacementResult) -> tuple[Robot, np.ndarray, Motion]:
     """Return the robot, the base pose and the motion of an answer."""
+    assert answer.plan.motion is not None
     return answer.prepared.robot, np.array(answer.plan.base_pose), answer.plan.motion
 
 
@@ -119,6 +120,7 @@ def test_an_adapted_motion_keeps_the_tool_poses(answer: PlacementResult) -> None
     straight, rng = answer.prepared.motion.grasp_step, np.random.default_rng(2)
     for offset in rng.uniform(-1.0, 1.0, (5, 3)) * [0.03, 0.03, 0.03]:
         other = adapt_motion(robot, motion, base, base + offset, straight)
+        assert other is not None
         np.testing.assert_array_equal(other.approach[0], motion.approach[0])
         np.testing.assert_allclose(other.approach[-1], other.q[0], atol=0.1)
         Ts = pose_planar(base + offset) @ robot.chain.tool_poses(
@@ -138,6 +140,7 @@ def test_an_adapted_motion_counts_only_if_the_exact_check_accepts_it(
     answer: PlacementResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, base, motion = motion_of(answer)
+    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     nearby = (base + np.array([0.01, 0.0, 0.0]))[None]
     assert replanner.failure(nearby, "all") is None
@@ -150,6 +153,7 @@ def test_an_adapted_motion_counts_only_if_the_exact_check_accepts_it(
 
 def test_a_blocked_base_fails_before_any_arm_is_checked(answer: PlacementResult) -> None:
     _, base, motion = motion_of(answer)
+    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     inside = answer.prepared.scene.object("cabinet_right").T_world_object[:2, 3]
     poses = np.array([base, [*inside, 0.0], base])
@@ -161,6 +165,7 @@ def test_a_blocked_base_fails_before_any_arm_is_checked(answer: PlacementResult)
 def test_poses_within_the_tolerance_of_an_answer_are_feasible(answer: PlacementResult) -> None:
     assert answer.plan.tolerance is None
     found = answer.tolerance
+    assert found is not None
     assert found.radius in RADII
     assert found.turn == pytest.approx(found.radius * TURN_PER_RADIUS)
     assert found.at_least == pytest.approx(0.97, abs=0.001)
@@ -232,6 +237,7 @@ def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
     assert main(["place", "open", *QUESTION, *few, "--out", str(out)]) == 0
     output = capsys.readouterr().out
     plan = read_plan(out)
+    assert plan.tolerance is not None
     assert plan.tolerance.samples == 12
     assert f"tolerance   +-{100 * plan.tolerance.radius:g} cm, +-" in output
     assert "replanning succeeded from 12/12 sampled poses" in output
@@ -284,6 +290,7 @@ def test_samples_of_a_tolerance_that_is_not_measured_are_refused() -> None:
 
 def test_zero_samples_are_refused(answer: PlacementResult) -> None:
     _, base, motion = motion_of(answer)
+    assert answer.query is not None
     with pytest.raises(InputError, match="from 1 to"):
         measured_tolerance(answer.query, base, motion, samples=0)
 
@@ -294,6 +301,8 @@ def test_the_known_motion_passes_at_its_own_base_pose(name: str) -> None:
     scene, robot = load_scene("kitchen_small"), load_robot(name)
     answer = plan_base_placement(scene, robot, make_task(scene, "open", "microwave"))
     base, motion = np.array(answer.plan.base_pose), answer.plan.motion
+    assert motion is not None
+    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     assert replanner.failure(base[None], "all") is None
     assert replanner.replanned == 0

@@ -50,6 +50,7 @@ POST_CLEARANCE = 0.012
 def world_of(case: Toy) -> Simulation:
     """Build the world of a toy, with the arm at its grasp."""
     path = case.robot.model.urdf.path
+    assert path is not None
     return build_simulation(
         case.scene, case.robot, BASE, case.motion.q, case.task, hand_of(case),
         read_dynamics(path), PartResistance(5.0, 0.1, 0.1, 0.0), None, CONFIG,
@@ -240,7 +241,10 @@ def test_the_hand_avoids_the_object_to_pick_as_long_as_that_stands() -> None:
     scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
     task = make_task(scene, "pick", "apple")
     plan = plan_base_placement(scene, robot, task).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
     path = robot.model.urdf.path
+    assert path is not None
     dynamics = read_dynamics(path)
     setting = WorldSetup(
         scene, robot, plan.base_pose, plan.motion, task, find_hand(robot, dynamics.mimics),

@@ -33,6 +33,8 @@ def carried_out(
     scene = load_scene("kitchen_small")
     task = make_task(scene, verb, name)
     plan = plan_base_placement(scene, robot, task, load_reach_map(robot, cache)).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
     rng = np.random.default_rng(0)
     return (
         execute(scene, robot, plan.base_pose, plan.motion, task, config, rng, **options),

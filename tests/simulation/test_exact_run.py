@@ -48,6 +48,7 @@ def followed(folder: Path, case: Case, trace: RunTrace | None = None) -> Executi
     plan, made = ready(folder, case)
     record = run_exactly(plan, made.scene, made.robot, watch=trace)
     assert record.exact
+    assert record.execution is not None
     return record.execution
 
 
@@ -174,9 +175,11 @@ def test_a_latch_is_turned_by_the_states_of_the_plan(tmp_path: Path) -> None:
     plan = plan_base_placement(scene, robot, task).plan
     assert plan.motion is not None
     done = run_exactly(plan, scene, robot).execution
+    assert done is not None
     assert done.success, done.reason
     plain = replace(scene.object("cupboard"), latch=None)
     plan = plan_base_placement(replace(scene, objects=(plain,)), robot, task).plan
     locked = run_exactly(plan, scene, robot).execution
+    assert locked is not None
     assert not locked.success
     assert "its latch turn is not turned" in locked.reason

@@ -34,8 +34,11 @@ def test_a_part_and_its_followers_open_in_physics(tmp_path: Path, kind: str) -> 
     )
     task = make_task(scene, "open", "cupboard", leader)
     plan = plan_base_placement(scene, robot, task).plan
+    assert plan.motion is not None
+    assert plan.base_pose is not None
     item = scene.object("cupboard")
     mimic = item.joint(follower).mimic
+    assert mimic is not None
     apart: list[float] = []
 
     def watch(world: Simulation, *_: float | Stage) -> None:

@@ -60,6 +60,7 @@ def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 def within_reach(kitchen: Scene, plan: PlacementPlan) -> Scene:
     """Return the kitchen without what is more than 2 m from the base, for a fast simulation."""
+    assert plan.base_pose is not None
     at = np.array(plan.base_pose[:2])
     low, high = (np.array([item.bounds[k, :2] for item in kitchen.objects]) for k in (0, 1))
     away = np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0), axis=1)
@@ -79,6 +80,8 @@ def test_a_door_opens_with_two_grasps_or_a_rotating_grasp(
     item: str, hold: HoldMethod, kitchen: Scene, plans: dict[str, PlacementPlan]
 ) -> None:
     plan = plans[item]
+    assert plan.motion is not None
+    assert plan.base_pose is not None
     two, turns = len(plan.motion.holds) == 2, plan.motion.holds[0].turn_axis is not None
     assert (two, turns) == ((True, False) if item == "cabinet_back" else (False, True))
     done = execute(
@@ -98,8 +101,10 @@ def test_a_hollow_door_follows_the_states_of_a_push(tmp_path: Path) -> None:
     scene = furniture_room(tmp_path, parts)
     task = make_task(scene, "open", "cupboard", "hinge", "80deg")
     plan = plan_base_placement(scene, robot, task, load_reach_map(robot, tmp_path)).plan
+    assert plan.motion is not None
     assert [hold.family for hold in plan.motion.holds] == ["pinch", "push"]
     done = run_exactly(plan, scene, robot).execution
+    assert done is not None
     assert done.success, done.reason
     assert abs(np.degrees(done.reached) - 80.0) < 3.0
 
@@ -113,6 +118,7 @@ def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path) -> None:
     motion = check_base_pose(
         scene, hooked, task, base, reach, how_far=False, config=config
     ).motion  # fmt: skip
+    assert motion is not None
     assert "after a slide" in motion.holds[1].words
     done = execute(
         scene, hooked, base, motion, task, ExecutionConfig(hold=hold), np.random.default_rng(0)
@@ -121,8 +127,11 @@ def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path) -> None:
     assert all(touch.force < 150.0 for touch in done.collisions)
 
 
-def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(tmp_path: Path) -> None:
+def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(
+    tmp_path: Path,
+) -> None:
     toy, config = gripping(tmp_path), ExecutionConfig()
+    assert toy.robot.model.urdf.path is not None
     dynamics, q = read_dynamics(toy.robot.model.urdf.path), toy.motion.q[0]
     hand = find_hand(toy.robot, dynamics.mimics)
     light = PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
@@ -143,6 +152,8 @@ def test_between_two_grasps_the_hand_is_slow_near_obstacles(
     kitchen: Scene, plans: dict[str, PlacementPlan]
 ) -> None:
     plan, config = plans["cabinet_back"], ExecutionConfig()
+    assert plan.motion is not None
+    assert plan.base_pose is not None
     ways: list[tuple[float, np.ndarray, bool]] = []
 
     def watch(world: Simulation, time: float, stage: Stage) -> None:

@@ -62,7 +62,9 @@ def test_link_poses_match_the_urdf(robot: Robot) -> None:
             )
 
 
-def test_door_poses_match_the_scene_at_every_opening(robots: Callable[[str], Robot]) -> None:
+def test_door_poses_match_the_scene_at_every_opening(
+    robots: Callable[[str], Robot],
+) -> None:
     world, item = world_of(robots("segway_ur5e")), load_scene("kitchen_small").object("fridge")
     for value in (0.0, 0.4, 1.2):
         world.data.qpos[world.part_q] = value

@@ -58,6 +58,8 @@ def test_the_floor_reacts_where_statics_say(drawer: PlacementPlan, robots: Robot
     measured, expected = np.array(seen).T
     assert len(seen) > 20
     np.testing.assert_allclose(np.median(measured - expected), 0.0, atol=2e-3)
+    assert done.execution is not None
+    assert done.execution.stability is not None
     assert 0.0 < done.execution.stability < measured.max()
 
 
@@ -78,6 +80,7 @@ def test_a_robot_without_masses_of_its_base_is_not_judged(
     monkeypatch.setattr(simulation, "_support", lambda _: None)
     done = run(replace(drawer), robots("segway_ur5e"))
     assert done.success
+    assert done.execution is not None
     assert done.execution.stability is None
 
 
@@ -101,4 +104,5 @@ def test_a_base_that_is_pulled_off_the_floor_tips_over_and_its_record_stays_fini
     run(drawer, robots("segway_ur5e"), watch=lift, tries=1)
     ((tips, stability),) = seen
     assert tips
+    assert stability is not None
     assert -1.0 <= stability < 0.0

@@ -87,6 +87,7 @@ def test_a_base_pose_without_a_path_is_no_answer(
     plan: PlacementPlan, kitchen: Scene, robot: Robot
 ) -> None:
     """A base that turns almost not at all cannot turn around where the other one can."""
+    assert plan.base_pose is not None
     x, y, yaw = plan.base_pose
     query = PlacementQuery(
         kitchen, robot, plan.task, Everywhere(), start=np.array([x, y, yaw + 2.0]), config=CONFIG

@@ -73,6 +73,7 @@ def test_the_path_of_the_hand_makes_its_joint_the_most_probable(
     if index == 0:
         assert not beliefs_of(guessed).contradicts(way)
     else:
+        assert other is not None
         assert (other.hypothesis.kind, int(np.argmax(weights))) == (ALL[index][0], index)
         assert other.moved == pytest.approx(values[-1], abs=0.03 / axis.lever_at(start))
 
@@ -91,6 +92,7 @@ def test_a_hand_that_loses_the_part_measures_nothing_but_lowers_the_weight(guess
     assert not beliefs.moved
     before = beliefs.beliefs
     other = beliefs.fail(())
+    assert other is not None
     assert other.hypothesis.kind == "door_left"
     assert [b.moved for b in beliefs.beliefs] == [b.moved for b in before]
     beliefs.fail([np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(10)])
@@ -105,6 +107,7 @@ def test_hypotheses_are_ranked_by_the_path_of_the_hand_and_the_current_one_is_no
     ranked = beliefs.ranked(pulled)
     assert len(ranked) == len(ALL)
     assert ranked.count(None) == 1
+    assert ranked[0] is not None
     assert ranked[0].hypothesis.kind == "drawer"
     weights = [belief.log_weight for belief in ranked if belief is not None]
     assert weights == sorted(weights, reverse=True)
@@ -136,7 +139,9 @@ def test_a_part_with_one_hypothesis_has_no_alternative(tmp_path: Path) -> None:
     assert beliefs.drop_current() is None
 
 
-def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(tmp_path: Path) -> None:
+def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(
+    tmp_path: Path,
+) -> None:
     guessed = room(tmp_path / "guessed", (("door_right", 0.7), ("door_left", 0.3)))
     really = room(tmp_path / "really", (("door_left", 1.0),))
     robot = load_robot("segway_ur5e")
@@ -148,6 +153,7 @@ def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(tmp_path:
     assert record.kinds[-1] == "door_left"
     assert [one.ending for one in record.failed] == [Ending.OTHERWISE]
     assert record.failed[0].reached == pytest.approx(0.0, abs=0.02)  # brought back
+    assert record.execution is not None
     learned = save_learned(record, guessed, tmp_path / "learned" / "scene.json")
     assert learned is not None
     item = load_scene(tmp_path / "learned" / "scene.json").object("cupboard")

@@ -52,8 +52,11 @@ def plan(scene: Scene, robot: Robot, reach: ReachMap) -> PlacementPlan:
     """Return a plan that opens a drawer while the base drives a little back."""
     task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
     found = plan_base_placement(scene, robot, task, reach).plan
+    assert found.base_pose is not None
+    assert found.motion is not None
     base = arc(found.base_pose, -0.06, 0.05, len(found.motion.q))
     moves = on_moving_base(found, robot, base)
+    assert moves.motion is not None
     assert PlanVerifier(scene, robot, task).first_violation(found.base_pose, moves.motion) is None
     return moves
 
@@ -68,8 +71,13 @@ def test_the_base_path_moves_with_the_base_and_the_hand_stays(
 ) -> None:
     here = off(plan, [0.01, -0.008, 0.01])
     moved = motion_from(plan, scene, robot, here).motion
+    assert moved is not None
+    assert moved.base is not None
+    assert plan.motion is not None
+    assert plan.motion.base is not None
     np.testing.assert_allclose(moved.base[0], here, atol=1e-12)
     for one, other in ((moved, here), (plan.motion, np.array(plan.base_pose))):
+        assert one.base is not None
         relative = local_points(other, one.base[:, :2])
         np.testing.assert_allclose(
             relative, local_points(plan.motion.base[0], plan.motion.base[:, :2]), atol=1e-9
@@ -116,6 +124,8 @@ def test_a_robot_that_stops_elsewhere_searches_again_with_a_moving_base(scene: S
     assert plan.start is not None
     here, motion = replanner.drive_and_plan(np.array(plan.start), plan, 3)
     assert len(goals) == 2
+    assert motion is not None
+    assert motion.base is not None
     assert np.ptp(motion.base[:, :2], axis=0).max() > 0.05
     np.testing.assert_allclose(motion.base[0], here, atol=1e-9)
     assert "does not reach" in replanner.visits[0].reason
@@ -135,6 +145,9 @@ def test_a_run_moves_the_base_and_ends_at_its_last_pose(
     record = run_plan(plan, scene, robot, reach, driver=driver, seed=1)
     assert record.success, record.reason
     assert len(record.visits) == 1
+    assert record.final_base_pose is not None
+    assert record.execution is not None
+    assert plan.final_base_pose is not None
     np.testing.assert_allclose(record.final_base_pose, plan.final_base_pose, atol=0.03)
     still = replace(record, execution=replace(record.execution, final_base_pose=None))
     assert still.final_base_pose == record.visits[0].reached

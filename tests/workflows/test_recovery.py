@@ -58,6 +58,8 @@ def plan(kitchen: Scene, robot: Robot) -> PlacementPlan:
 def test_another_grasp_at_the_same_base_pose_differs_from_the_one_that_failed(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
+    assert plan.base_pose is not None
+    assert plan.motion is not None
     failed = grasp_in_part(kitchen, plan.task, plan.motion)
     others = other_grasps(kitchen, plan.task, [failed])
     found = check_base_pose(
@@ -74,6 +76,7 @@ def test_another_grasp_at_the_same_base_pose_differs_from_the_one_that_failed(
 def test_if_no_other_grasp_is_left_the_reason_states_it(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
+    assert plan.base_pose is not None
     found = check_base_pose(
         kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False,
         keep_grasps=lambda motion: np.zeros(len(motion.Ts_world_tool), bool),
@@ -97,6 +100,7 @@ def test_the_believed_scene_has_the_part_where_the_hand_left_it(kitchen: Scene) 
 
 def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
     """Return the vertices of a task's part in the world at a joint value."""
+    assert task.joint is not None
     item = room.object(task.object)
     poses = item.link_poses({task.joint: value})
     links = item.model.moved_by(task.joint)
@@ -105,6 +109,7 @@ def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
 
 def hinge(room: Scene, task: Task) -> Axis:
     """Return the joint of a task's part in the world."""
+    assert task.joint is not None
     item = room.object(task.object)
     joint = item.model.joint(task.joint)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
@@ -123,6 +128,7 @@ def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint
         direction=lean @ modeled.direction,
         point=modeled.point + np.array([0.01, 0.02, 0.0]),
     )
+    assert task.to is not None
     sign = np.sign(task.to)
     room, same, value = with_estimated_joint(kitchen, task, found, 0.5 * task.to)
     assert same.to == pytest.approx(abs(task.to))
@@ -134,6 +140,7 @@ def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint
 
 
 def test_a_grasp_does_not_depend_on_the_believed_joint(kitchen: Scene, plan: PlacementPlan) -> None:
+    assert plan.motion is not None
     axis = hinge(kitchen, plan.task)
     other, _, _ = with_estimated_joint(
         kitchen, plan.task, axis.shifted(np.array([0.1, 0.0, 0.2])), 0.1
@@ -148,6 +155,7 @@ def test_a_door_falls_closed_if_its_hinge_leans_so_that_opening_lifts_it(
 ) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     modeled = hinge(kitchen, task)
+    assert task.to is not None
     closed = door_points(kitchen, task, 0.0).mean(0)
     way = np.sign(task.to) * modeled.way_at(closed)
     arm = closed - modeled.point
@@ -173,12 +181,15 @@ def test_without_pushes_only_the_push_family_is_removed() -> None:
 def test_the_arm_has_a_path_home_from_a_half_open_drawer(
     kitchen: Scene, robot: Robot, plan: PlacementPlan
 ) -> None:
+    assert plan.base_pose is not None
+    assert plan.motion is not None
     half = len(plan.motion.q) // 2
     value, q = float(plan.motion.object_q[half]), plan.motion.q[half]
     believed = believed_scene(kitchen, plan.task, value, np.zeros(3))
     way = arm_home_path(
         believed, robot, plan.task, np.array(plan.base_pose), q, config=CONFIG, seed=0
     )
+    assert way is not None
     np.testing.assert_allclose(way[0], q)
     np.testing.assert_allclose(way[-1], robot.home)
     assert np.abs(np.diff(way, axis=0)).max() < 0.05
@@ -211,6 +222,7 @@ def test_after_a_lost_grasp_another_grasp_does_the_task(
     assert len(record.failed) == 1
     assert not record.failed[0].success
     assert record.success, record.reason
+    assert record.execution is not None
     assert record.execution.start == pytest.approx(0.0)
 
 
@@ -224,6 +236,7 @@ def test_the_path_home_of_a_telescopic_arm_has_all_its_joints(kitchen: Scene) ->
     way = arm_home_path(
         kitchen, stretch, task, base, stretch.chain.joint_values(away), config=CONFIG, seed=0
     )
+    assert way is not None
     assert way.shape[1] == len(stretch.moved_joints) > stretch.chain.size
     assert np.allclose(way[-1], home)
 

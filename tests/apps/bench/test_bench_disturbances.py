@@ -11,7 +11,7 @@ from momapos.apps.bench.methods import method_config
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.records.plans import PlacementPlan
 from momapos.model.records.protocols import ReachScorer
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_by_method
@@ -23,9 +23,8 @@ CUP = SuiteTask("cup", "pick", "kitchen_small", "segway_ur5e", "pick", "cup")
 
 
 @pytest.fixture(scope="module")
-def machine() -> tuple[Robot, ReachScorer]:
-    robot = load_robot("segway_ur5e")
-    return robot, load_reach(robot)
+def machine(segway: Robot) -> tuple[Robot, ReachScorer]:
+    return segway, load_reach(segway)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -63,7 +62,7 @@ from momapos.verification.exact_check import PlanVerifier
 
 
 def test_kitchen_tasks_are_all_doors_drawers_and_graspable_objects(
-    robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, segway: Robot
 ) -> None:
     tasks = kitchen_tasks(["segway_ur5e"], 3)
     assert len({task.name for task in tasks}) == len(tasks)
@@ -75,7 +74,7 @@ def test_kitchen_tasks_are_all_doors_drawers_and_graspable_objects(
         picks = {task.object for task in mine if task.verb == "pick"}
         assert "cup" in picks
         assert not picks & {"table", "counter", "wall_back"}
-        assert all(can_be_picked(scene, robots("segway_ur5e"), name) for name in picks)
+        assert all(can_be_picked(scene, segway, name) for name in picks)
         for task in mine:
             make_task(scene, task.verb, task.object, task.joint, task.to)
     assert {task.seed for task in tasks} == {3}
@@ -116,7 +115,7 @@ def boxes_overlap(one: SceneObject, other: SceneObject) -> bool:
 
 
 def test_a_room_has_objects_in_every_place_and_none_overlap(
-    drawn: DiningRoom, robots: Callable[[str], Robot]
+    drawn: DiningRoom, segway: Robot
 ) -> None:
     scene = load_scene(drawn.file)
     assert set(Counter(item.place for item in drawn.objects)) == set(PLACES)
@@ -125,7 +124,7 @@ def test_a_room_has_objects_in_every_place_and_none_overlap(
         assert not boxes_overlap(one, other), (one, other)
     for item in items:  # the exact check uses the furniture's shapes
         task = make_task(scene, "pick", item.name)
-        assert PlanVerifier(scene, robots("segway_ur5e"), task).blocked(0.0) is None
+        assert PlanVerifier(scene, segway, task).blocked(0.0) is None
 
 
 def test_objects_are_inside_their_containers(drawn: DiningRoom) -> None:
@@ -179,13 +178,13 @@ def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
 
 
 def test_a_microwave_is_hinged_on_the_left_and_its_door_can_swing(
-    drawn: DiningRoom, robots: Callable[[str], Robot]
+    drawn: DiningRoom, segway: Robot
 ) -> None:
     scene = load_scene(drawn.file)
     oven = scene.object(MICROWAVE)
     task = make_task(scene, "open", MICROWAVE)
     assert task.to == pytest.approx(np.pi / 2)
-    verifier = PlanVerifier(scene, robots("segway_ur5e"), task)
+    verifier = PlanVerifier(scene, segway, task)
     assert all(verifier.blocked(value) is None for value in np.linspace(0.0, task.to, 7))
     to_front = oven.T_world_object[:3, :3] @ [0.0, -1.0, 0.0]
     opened_by = scene.with_joint(MICROWAVE, task.joint, 0.3).object(MICROWAVE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,8 @@ from momapos.core.geometry.transforms import invert, pose_planar, wrap_angle
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 from momapos.model.records.plans import Attempt, Motion, PlacementPlan, Task
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
@@ -49,17 +47,10 @@ TO = float(np.radians(45.0))
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def plan(kitchen: Scene) -> PlacementPlan:
+def plan(kitchen: Scene, segway: Robot) -> PlacementPlan:
     """Plan to open the fridge of the small kitchen partly with the Segway."""
     task = make_task(kitchen, "open", "fridge", "door_hinge", TO)
-    plan = plan_base_placement(
-        kitchen, load_robot("segway_ur5e"), task, Everywhere(), config=CONFIG
-    ).plan
+    plan = plan_base_placement(kitchen, segway, task, Everywhere(), config=CONFIG).plan
     assert plan.status == "solved"
     return plan
 
@@ -122,7 +113,11 @@ def test_an_exact_run_reports_and_writes_its_record(
 
 
 def test_a_missing_world_or_a_pose_without_world_is_refused(
-    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plan: PlacementPlan,
+    kitchen: Scene,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    segway: Robot,
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
     refused([str(tmp_path / "plan.json"), "--world-at", "0,0,0"], "--world-at", capsys)
@@ -133,15 +128,15 @@ def test_a_missing_world_or_a_pose_without_world_is_refused(
     refused([str(tmp_path / "plan.json"), "--world", "no_such_room"], "no_such_room", capsys)
     far = moved(kitchen, np.array([9.0, 0.0, 0.0]))
     with pytest.raises(InputError, match="no part that opens"):
-        run_plan(plan, kitchen, load_robot("segway_ur5e"), Everywhere(), world=far, config=CONFIG)
+        run_plan(plan, kitchen, segway, Everywhere(), world=far, config=CONFIG)
 
 
 def test_with_noise_the_arm_motion_is_replanned_from_the_reached_pose(
-    plan: PlacementPlan, kitchen: Scene
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
 ) -> None:
     traces: list[np.ndarray] = []
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=3,
+        plan, kitchen, segway, Everywhere(), config=CONFIG, seed=3,
         trace=lambda _, poses: traces.append(poses),
     )  # fmt: skip
     assert record.success, record.reason
@@ -157,12 +152,12 @@ def test_with_noise_the_arm_motion_is_replanned_from_the_reached_pose(
 
 @pytest.mark.slow
 def test_the_drawn_furniture_does_not_depend_on_the_drive(
-    plan: PlacementPlan, kitchen: Scene
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
 ) -> None:
     def run(go: Drive) -> RunRecord:
         furniture = FurnitureConfig(spread=0.3)
         return run_plan(
-            plan, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG, seed=5,
+            plan, kitchen, segway, Everywhere(), config=CONFIG, seed=5,
             driver=go, physics=ExecutionConfig(furniture=furniture),
         )  # fmt: skip
 
@@ -178,7 +173,7 @@ def test_the_drawn_furniture_does_not_depend_on_the_drive(
 
 
 def test_a_run_draws_from_the_resistances_of_its_plan(
-    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch, segway: Robot
 ) -> None:
     """They may differ from what scene and simulation assume, as after --set."""
     assert plan.resistance["fridge"]["door_hinge"].seal_force == 30.0
@@ -197,7 +192,7 @@ def test_a_run_draws_from_the_resistances_of_its_plan(
     for one, pull in ((other, 17.0), (replace(plan, resistance={}), 30.0)):
         with pytest.raises(Drawn):
             run_plan(
-                one, kitchen, load_robot("segway_ur5e"), Everywhere(), config=CONFIG,
+                one, kitchen, segway, Everywhere(), config=CONFIG,
                 driver=lambda _, start, goal, __: ended(start, goal, goal),
             )  # fmt: skip
         assert drawn[-1].pull == pull
@@ -205,23 +200,22 @@ def test_a_run_draws_from_the_resistances_of_its_plan(
 
 
 def test_a_motion_for_one_base_pose_passes_the_exact_check(
-    plan: PlacementPlan, kitchen: Scene
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
 ) -> None:
-    robot = load_robot("segway_ur5e")
     base = np.array(plan.base_pose)
-    found = check_base_pose(kitchen, robot, plan.task, base, Everywhere()).motion
+    found = check_base_pose(kitchen, segway, plan.task, base, Everywhere()).motion
     x, y, yaw = base.tolist()
-    assert PlanVerifier(kitchen, robot, plan.task).check((x, y, yaw), found).valid
-    tools = pose_planar(base) @ robot.chain.tool_poses(found.q)
+    assert PlanVerifier(kitchen, segway, plan.task).check((x, y, yaw), found).valid
+    tools = pose_planar(base) @ segway.chain.tool_poses(found.q)
     np.testing.assert_allclose(tools, found.Ts_world_tool, atol=1e-6)
 
 
 def test_without_an_arm_motion_the_base_drives_to_the_next_cheapest_pose(
-    plan: PlacementPlan, kitchen: Scene
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
 ) -> None:
     goals: list[np.ndarray] = []
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=astray_at_first(goals),
+        plan, kitchen, segway, Everywhere(), driver=astray_at_first(goals),
         config=CONFIG,
     )  # fmt: skip
     assert record.success, record.reason
@@ -233,12 +227,12 @@ def test_without_an_arm_motion_the_base_drives_to_the_next_cheapest_pose(
 
 
 def test_without_another_base_pose_the_robot_docks_again(
-    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch, segway: Robot
 ) -> None:
     goals: list[np.ndarray] = []
     monkeypatch.setattr("momapos.workflows.replanning.Replanner._other_pose", lambda *_: None)
     record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=astray_at_first(goals),
+        plan, kitchen, segway, Everywhere(), driver=astray_at_first(goals),
         config=CONFIG,
     )  # fmt: skip
     assert record.success, record.reason
@@ -247,7 +241,7 @@ def test_without_another_base_pose_the_robot_docks_again(
 
 
 def test_after_three_drives_without_arrival_the_run_fails(
-    plan: PlacementPlan, kitchen: Scene
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
 ) -> None:
     goals: list[np.ndarray] = []
 
@@ -255,9 +249,7 @@ def test_after_three_drives_without_arrival_the_run_fails(
         goals.append(goal)
         return ended(start, goal, start, "a wheel is stuck")
 
-    record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=stuck, config=CONFIG
-    )
+    record = run_plan(plan, kitchen, segway, Everywhere(), driver=stuck, config=CONFIG)
     assert not record.success
     assert record.reason == "a wheel is stuck"
     assert record.execution is None
@@ -266,13 +258,13 @@ def test_after_three_drives_without_arrival_the_run_fails(
     assert apart(goals)
 
 
-def test_a_base_that_hit_something_stops(plan: PlacementPlan, kitchen: Scene) -> None:
+def test_a_base_that_hit_something_stops(
+    plan: PlacementPlan, kitchen: Scene, segway: Robot
+) -> None:
     def bump(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return replace(ended(start, goal, start, "it hit a chair"), hit="a chair")
 
-    record = run_plan(
-        plan, kitchen, load_robot("segway_ur5e"), Everywhere(), driver=bump, config=CONFIG
-    )
+    record = run_plan(plan, kitchen, segway, Everywhere(), driver=bump, config=CONFIG)
     assert not record.success
     assert record.reason == "it hit a chair"
     assert [visit.hit for visit in record.visits] == ["a chair"]
@@ -310,7 +302,7 @@ def apart(goals: list[np.ndarray]) -> bool:
 
 
 def test_a_start_in_collision_in_the_simulation_is_a_failure(
-    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch
+    plan: PlacementPlan, kitchen: Scene, monkeypatch: pytest.MonkeyPatch, segway: Robot
 ) -> None:
     def go(_: NavigationMap, start: Pose3, goal: Pose3, __: np.random.Generator) -> DriveRecord:
         return ended(start, goal, np.array([1.0, 0.0, 1.57]))
@@ -320,22 +312,20 @@ def test_a_start_in_collision_in_the_simulation_is_a_failure(
         "momapos.workflows.replanning.check_pose",
         lambda *_, **__: Attempt(motion, PoseOutcome(PoseStatus.FEASIBLE)),
     )
-    robot = load_robot("segway_ur5e")
-    record = run_plan(plan, kitchen, robot, Everywhere(), driver=go, config=CONFIG)
+    record = run_plan(plan, kitchen, segway, Everywhere(), driver=go, config=CONFIG)
     assert not record.success
     assert record.execution is None
     assert "start in collision" in record.reason
 
 
 def test_a_scene_that_changed_after_planning_is_refused(
-    robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fetch: Robot
 ) -> None:
-    robot = robots("fetch")
     made = PlacementPlan(
         scene=str(make_case().write(tmp_path).with_name("scene.json")),
-        robot_name="fetch", robot_urdf=str(robot.model.urdf.path), base_link=robot.base_link,
-        tool_link=robot.tool_link, task=Task("open", "cupboard", "hinge", 1.0), status="solved",
-        joints=robot.arm_joints, base_pose=(-1.5, 0.0, 0.0), motion=still(robot),
+        robot_name="fetch", robot_urdf=str(fetch.model.urdf.path), base_link=fetch.base_link,
+        tool_link=fetch.tool_link, task=Task("open", "cupboard", "hinge", 1.0), status="solved",
+        joints=fetch.arm_joints, base_pose=(-1.5, 0.0, 0.0), motion=still(fetch),
     )  # fmt: skip
     write_plan(made, tmp_path / "plan.json")
     (tmp_path / "scene.json").write_text((tmp_path / "scene.json").read_text() + " ")

@@ -10,6 +10,7 @@ import pytest
 
 from momapos.apps.cli.main import main
 from momapos.apps.web.words import check_lines
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.workflows.scene_check.checks import check_scene
 
@@ -75,7 +76,7 @@ def test_what_cannot_be_loaded_is_one_line(
 
 
 def test_show_and_the_page_begin_with_the_warnings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene
 ) -> None:
     floating = {**CRATE, "name": "mug", "pose": {"xyz": [2, 0, 0.5]}, "box": [0.08, 0.08, 0.1]}
     path = write(tmp_path, CRATE, floating, colour="red")
@@ -89,4 +90,4 @@ def test_show_and_the_page_begin_with_the_warnings(
     assert [one["kind"] for one in facts["findings"]] == ["unknown key", "in the air"]
     lines = check_lines(check_scene(load_scene(path)))
     assert [line.partition(":")[0] for line in lines] == ["warning", "warning"]
-    assert check_lines(check_scene(load_scene("kitchen_small"))) == []
+    assert check_lines(check_scene(kitchen)) == []

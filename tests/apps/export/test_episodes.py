@@ -20,7 +20,7 @@ from momapos.apps.export.episodes import BASE, RATE, instruction_of
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import PlacementPlan, Task
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -34,8 +34,7 @@ SIZE = (32, 24)
 
 
 @pytest.fixture(scope="module")
-def plans() -> dict[str, PlacementPlan]:
-    kitchen = load_scene("kitchen_small")
+def plans(kitchen: Scene) -> dict[str, PlacementPlan]:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     return {
         name: plan_base_placement(

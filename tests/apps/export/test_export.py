@@ -20,9 +20,8 @@ from momapos.apps.export.timeline import Phase, PhaseKind, phases_of, samples_of
 from momapos.core.geometry.transforms import pose_wxyz
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import Hold, PlacementPlan
-from momapos.model.robots.robot import Robot, load_robot, read_srdf
+from momapos.model.robots.robot import Robot, read_srdf
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -33,24 +32,14 @@ TOLERANCE = 1e-6
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
-@pytest.fixture(scope="module")
-def plan(kitchen: Scene, robot: Robot) -> PlacementPlan:
+def plan(kitchen: Scene, segway: Robot) -> PlacementPlan:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
-    return plan_base_placement(kitchen, robot, task, Everywhere(), config=CONFIG).plan
+    return plan_base_placement(kitchen, segway, task, Everywhere(), config=CONFIG).plan
 
 
 @pytest.fixture(scope="module")
-def phases(plan: PlacementPlan, robot: Robot) -> tuple[Phase, ...]:
-    return phases_of(plan, robot)
+def phases(plan: PlacementPlan, segway: Robot) -> tuple[Phase, ...]:
+    return phases_of(plan, segway)
 
 
 @pytest.fixture(scope="module")
@@ -87,39 +76,39 @@ def test_a_door_moves_only_while_the_gripper_is_closed(
 
 
 def test_joints_and_base_respect_their_speed_limits(
-    phases: tuple[Phase, ...], robot: Robot
+    phases: tuple[Phase, ...], segway: Robot
 ) -> None:
-    speed = np.array([robot.model.joint(name).velocity for name in robot.moved_joints])
+    speed = np.array([segway.model.joint(name).velocity for name in segway.moved_joints])
     for phase in phases:
         assert (np.abs(phase.velocities) <= speed + TOLERANCE).all()
         moved = np.diff(phase.base, axis=0) / np.diff(phase.times)[:, None]
-        assert np.hypot(*moved[:, :2].T).max() <= robot.max_speed + 1e-3
-        assert np.abs(moved[:, 2]).max() <= robot.max_yaw_rate + 1e-3
+        assert np.hypot(*moved[:, :2].T).max() <= segway.max_speed + 1e-3
+        assert np.abs(moved[:, 2]).max() <= segway.max_yaw_rate + 1e-3
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5])
 def test_a_drive_across_the_axes_keeps_speed_and_acceleration(
-    plan: PlacementPlan, robot: Robot, bend: float
+    plan: PlacementPlan, segway: Robot, bend: float
 ) -> None:
     assert plan.base_pose is not None
     s = np.linspace(0.0, 1.0, 60)[:, None]
     way = np.array([-2.0, -2.0, 0.0]) * (1 - s) + bend * np.sin(np.pi * s) * [1.0, -1.0, 0.0]
-    drive = phases_of(replace(plan, base_path=np.array(plan.base_pose) + way), robot)[0]
+    drive = phases_of(replace(plan, base_path=np.array(plan.base_pose) + way), segway)[0]
     speed = np.diff(drive.base[:, :2], axis=0) / np.diff(drive.times)[:, None]
     change = np.diff(speed[:-1], axis=0) / np.diff(drive.times)[0]
-    assert (bend or 0.95 * robot.max_speed) < np.hypot(*speed.T).max() + bend
-    assert np.hypot(*speed.T).max() <= robot.max_speed + 1e-3
-    assert np.hypot(*change.T).max() <= 1.02 * robot.max_acceleration
+    assert (bend or 0.95 * segway.max_speed) < np.hypot(*speed.T).max() + bend
+    assert np.hypot(*speed.T).max() <= segway.max_speed + 1e-3
+    assert np.hypot(*change.T).max() <= 1.02 * segway.max_acceleration
 
 
-def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, robot: Robot) -> None:
+def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, segway: Robot) -> None:
     motion = plan.motion
     last = len(motion.q) - 1
     middle = last // 2
     object_q = motion.object_q.copy()
     object_q[middle : middle + 4] = object_q[middle]
     twice = replace(motion, object_q=object_q, holds=(Hold(0, middle), Hold(middle + 3, last)))
-    phases = phases_of(replace(plan, motion=twice), robot)
+    phases = phases_of(replace(plan, motion=twice), segway)
     expected = ["drive", "arm", *(["close_gripper", "arm", "open_gripper", "arm"] * 2)[:-1]]
     assert kinds(phases) == expected
     assert np.ptp(phases[5].object_q) == 0.0
@@ -133,10 +122,10 @@ def test_the_gripper_opens_between_two_grasps(plan: PlacementPlan, robot: Robot)
     ],
 )
 def test_a_picked_object_is_held_before_the_lift_and_a_placed_one_from_the_start(
-    verb: Any, expected: list[str], plan: PlacementPlan, robot: Robot
+    verb: Any, expected: list[str], plan: PlacementPlan, segway: Robot
 ) -> None:
     task = replace(plan.task, verb=verb, joint=None, to=None)
-    assert kinds(phases_of(replace(plan, task=task), robot)) == expected
+    assert kinds(phases_of(replace(plan, task=task), segway)) == expected
 
 
 def test_csv_and_npz_have_equal_values(plan_file: Path, tmp_path: Path) -> None:
@@ -155,7 +144,7 @@ def test_csv_and_npz_have_equal_values(plan_file: Path, tmp_path: Path) -> None:
 
 
 def test_ros_goals_match_the_plan(
-    plan: PlacementPlan, plan_file: Path, robot: Robot, tmp_path: Path
+    plan: PlacementPlan, plan_file: Path, segway: Robot, tmp_path: Path
 ) -> None:
     out = tmp_path / "goals.json"
     assert main(["export", str(plan_file), "--to", "ros2", "--out", str(out)]) == 0
@@ -171,8 +160,8 @@ def test_ros_goals_match_the_plan(
         "GripperCommand",
     ]  # fmt: skip
     closing, opening = content["steps"][2], content["steps"][4]
-    assert closing["goal"]["command"] == {"position": 0.0, "max_effort": robot.grip_force}
-    assert opening["goal"]["command"]["position"] == robot.opening
+    assert closing["goal"]["command"] == {"position": 0.0, "max_effort": segway.grip_force}
+    assert opening["goal"]["command"]["position"] == segway.opening
     trajectory = content["steps"][3]["goal"]["trajectory"]
     assert trajectory["joint_names"] == list(plan.joints)
     assert np.allclose(trajectory["points"][-1]["positions"], plan.motion.q[-1])
@@ -257,19 +246,19 @@ def test_a_planning_scene_has_every_shape_at_its_pose(kitchen: Scene, tmp_path: 
 
 
 def test_a_carried_object_is_attached_at_its_pose_in_the_hand(
-    kitchen: Scene, robot: Robot, tmp_path: Path
+    kitchen: Scene, segway: Robot, tmp_path: Path
 ) -> None:
     for verb in ("pick", "place"):
         plan = plan_base_placement(
-            kitchen, robot, make_task(kitchen, verb, "cup"), config=CONFIG
+            kitchen, segway, make_task(kitchen, verb, "cup"), config=CONFIG
         ).plan
         write_plan(plan, tmp_path / f"{verb}.json")
         room = tmp_path / f"{verb}.scene"
         words = [str(tmp_path / f"{verb}.json"), "--to", "moveit", "--out", str(room)]
         assert main(["export", *words]) == 0
         said = json.loads((tmp_path / f"{verb}_attached.json").read_text())
-        assert said["link_name"] == robot.tool_link
-        assert said["touch_links"] == list(robot.gripper_links)
+        assert said["link_name"] == segway.tool_link
+        assert said["touch_links"] == list(segway.gripper_links)
         held, cup = said["object"], kitchen.object("cup")
         at, turn = held["pose"]["position"], held["pose"]["orientation"]
         T_tool_object = pose_wxyz(tuple(at[k] for k in "xyz"), tuple(turn[k] for k in "wxyz"))
@@ -287,12 +276,12 @@ def test_a_plan_without_a_carried_object_attaches_none(plan_file: Path, tmp_path
     assert sorted(file.name for file in tmp_path.iterdir()) == ["room.scene", "room.srdf"]
 
 
-def test_an_srdf_has_the_disabled_pairs_of_the_robot(robot: Robot, tmp_path: Path) -> None:
-    write_srdf(robot, tmp_path / "a.srdf")
-    assert read_srdf(tmp_path / "a.srdf") == robot.disabled
+def test_an_srdf_has_the_disabled_pairs_of_the_robot(segway: Robot, tmp_path: Path) -> None:
+    write_srdf(segway, tmp_path / "a.srdf")
+    assert read_srdf(tmp_path / "a.srdf") == segway.disabled
     text = (tmp_path / "a.srdf").read_text()
-    assert f'tip_link="{robot.tool_link}"' in text
-    assert all(f'<joint name="{name}"' in text for name in robot.moved_joints)
+    assert f'tip_link="{segway.tool_link}"' in text
+    assert all(f'<joint name="{name}"' in text for name in segway.moved_joints)
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: str, because: str) -> None:
@@ -326,10 +315,12 @@ def test_the_default_output_is_next_to_the_plan(
     assert plan_file.read_bytes() == before
 
 
-def test_a_plan_that_starts_at_the_grasp_can_be_exported(plan: PlacementPlan, robot: Robot) -> None:
+def test_a_plan_that_starts_at_the_grasp_can_be_exported(
+    plan: PlacementPlan, segway: Robot
+) -> None:
     motion = plan.motion
     there = replace(motion, approach=motion.approach[:0])
-    phases = phases_of(replace(plan, motion=there, base_path=None), robot)
+    phases = phases_of(replace(plan, motion=there, base_path=None), segway)
     assert kinds(phases) == ["close_gripper", "arm", "open_gripper"]
     assert np.allclose(phases[0].positions, motion.q[0])
 

@@ -17,9 +17,8 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.plan_files.tour_format import write_tour
 from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -33,23 +32,13 @@ DOOR = (0.0, 0.0, 0.0, 0.0, 0.1, 0.3)
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
-@pytest.fixture(scope="module")
-def plans(kitchen: Scene, robot: Robot) -> dict[str, PlacementPlan]:
+def plans(kitchen: Scene, segway: Robot) -> dict[str, PlacementPlan]:
     tasks = {
         "open": make_task(kitchen, "open", "fridge", "door_hinge"),
         "pick": make_task(kitchen, "pick", "cup"),
     }
     return {
-        verb: plan_base_placement(kitchen, robot, task, Everywhere(), config=CONFIG).plan
+        verb: plan_base_placement(kitchen, segway, task, Everywhere(), config=CONFIG).plan
         for verb, task in tasks.items()
     }
 
@@ -129,17 +118,17 @@ def test_a_recording_of_a_run_has_the_motion_of_base_arm_and_door(
 
 
 def test_a_picked_object_moves_with_the_hand_after_it_closes(
-    plans: dict[str, PlacementPlan], kitchen: Scene, robot: Robot
+    plans: dict[str, PlacementPlan], kitchen: Scene, segway: Robot
 ) -> None:
     plan = plans["pick"]
-    timeline = plan_timeline(plan, phases_of(plan, robot), kitchen, robot)
+    timeline = plan_timeline(plan, phases_of(plan, segway), kitchen, segway)
     poses, samples = timeline.Ts_world_object, timeline.samples
     closes = timeline.stages.index("close_gripper")
     item = kitchen.object("cup")
     rest = item.link_poses()[item.model.urdf.root]
     assert np.allclose(poses[samples.phase < closes], rest)
-    tools = pose_planar(samples.base) @ robot.chain.tool_poses(
-        robot.chain.freedom_values(samples.positions)
+    tools = pose_planar(samples.base) @ segway.chain.tool_poses(
+        segway.chain.freedom_values(samples.positions)
     )
     held = invert(tools[samples.phase >= closes]) @ poses[samples.phase >= closes]
     assert np.allclose(held, held[0], atol=1e-9)
@@ -167,7 +156,7 @@ def test_a_recording_of_a_pick_has_a_frame_for_the_object(
 
 
 def test_a_movable_object_of_a_run_has_its_recorded_poses(
-    plans: dict[str, PlacementPlan], robot: Robot
+    plans: dict[str, PlacementPlan], segway: Robot
 ) -> None:
     poses = tuple((0.1 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0) for k in range(6))
     base = (0.0, 0.0, 0.0)
@@ -175,8 +164,8 @@ def test_a_movable_object_of_a_run_has_its_recorded_poses(
         TIMES, STAGES, (base,) * 6, dict.fromkeys(plans["pick"].joints, (0.0,) * 6),
         poses=poses,
     )  # fmt: skip
-    record = RunRecord("kitchen_small", robot.name, plans["pick"].task, (), None, motion=motion)
-    found = run_timeline(record, robot).Ts_world_object
+    record = RunRecord("kitchen_small", segway.name, plans["pick"].task, (), None, motion=motion)
+    found = run_timeline(record, segway).Ts_world_object
     assert np.allclose(found[:, 0, 3], [0.0, 0.1, 0.3, 0.4, 0.5])
     assert np.allclose(found[:, :3, :3], np.diag([-1.0, -1.0, 1.0]))
 

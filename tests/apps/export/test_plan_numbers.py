@@ -16,7 +16,7 @@ from momapos.apps.cli.main import main
 from momapos.apps.cli.view import opened_source
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import with_times
 from momapos.planning.config import PipelineConfig
@@ -30,13 +30,13 @@ COUNT = 60
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    kitchen, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+def plan(tmp_path_factory: pytest.TempPathFactory, segway: Robot) -> dict[str, Any]:
+    kitchen = load_scene("kitchen_small")
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     config = PipelineConfig(place=PlaceConfig(count=256, polish=1))
-    found = plan_base_placement(kitchen, robot, task, Everywhere(), config=config).plan
+    found = plan_base_placement(kitchen, segway, task, Everywhere(), config=config).plan
     path = tmp_path_factory.mktemp("plan") / "fridge.json"
-    write_plan(with_times(found, robot), path)
+    write_plan(with_times(found, segway), path)
     content: dict[str, Any] = json.loads(path.read_text())
     return content
 

@@ -15,9 +15,8 @@ from momapos.apps.integrations.pddlstream import STREAM, GenFn, placement_stream
 from momapos.apps.integrations.pycram import PlacementBackend
 from momapos.core.errors import InputError, SceneError, TaskError, UnknownNameError
 from momapos.model.records.plans import BaseRegion, Verb
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -27,16 +26,6 @@ from momapos.verification.exact_check import PlanVerifier
 
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, rounds=1, grid=False), timeout=300.0)
 DRAWER = "cabinet_right/drawer_middle_slide"
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
 
 
 # PDDLStream
@@ -52,10 +41,10 @@ def stream(scene: Scene, robot: Robot, verb: Verb = "open", to: str | None = Non
 
 
 def test_a_stream_yields_a_list_of_one_output_tuple_for_the_declared_outputs(
-    kitchen: Scene, robot: Robot
+    kitchen: Scene, segway: Robot
 ) -> None:
     declared = STREAM.split(":outputs (")[1].split(")")[0].split()
-    outputs = list(islice(from_gen_fn(stream(kitchen, robot))(DRAWER, None, None), 3))
+    outputs = list(islice(from_gen_fn(stream(kitchen, segway))(DRAWER, None, None), 3))
     assert len(outputs) == 3
     for output in outputs:
         (values,) = output
@@ -66,29 +55,29 @@ def test_a_stream_yields_a_list_of_one_output_tuple_for_the_declared_outputs(
     assert len(set(poses)) == 3
 
 
-def test_the_exact_check_accepts_what_a_stream_certifies(kitchen: Scene, robot: Robot) -> None:
+def test_the_exact_check_accepts_what_a_stream_certifies(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", *DRAWER.split("/"))
-    verifier = PlanVerifier(kitchen, robot, task)
-    for q, t in islice(stream(kitchen, robot)(DRAWER, None, None), 2):
+    verifier = PlanVerifier(kitchen, segway, task)
+    for q, t in islice(stream(kitchen, segway)(DRAWER, None, None), 2):
         assert t.plan.base_pose == q
         assert verifier.check(q, t.plan.motion).valid
-    assert t.timed.positions.shape[1] == len(robot.moved_joints)
+    assert t.timed.positions.shape[1] == len(segway.moved_joints)
     assert t.timed is t.timed
 
 
-def test_the_pose_of_a_part_is_its_initial_joint_value(kitchen: Scene, robot: Robot) -> None:
-    _, half = next(stream(kitchen, robot)(DRAWER, 0.2, None))
+def test_the_pose_of_a_part_is_its_initial_joint_value(kitchen: Scene, segway: Robot) -> None:
+    _, half = next(stream(kitchen, segway)(DRAWER, 0.2, None))
     assert half.plan.motion.object_q[0] == pytest.approx(0.2)
     with pytest.raises(InputError, match="one number"):
-        next(stream(kitchen, robot)(DRAWER, np.eye(4), None))
+        next(stream(kitchen, segway)(DRAWER, np.eye(4), None))
     with pytest.raises(SceneError, match="outside its limits"):
-        next(stream(kitchen, robot)(DRAWER, 7.0, None))
+        next(stream(kitchen, segway)(DRAWER, 7.0, None))
 
 
-def test_a_movable_object_is_picked_at_its_given_pose(kitchen: Scene, robot: Robot) -> None:
+def test_a_movable_object_is_picked_at_its_given_pose(kitchen: Scene, segway: Robot) -> None:
     T = kitchen.object("cereal_box").T_world_object.copy()
     T[:3, 3] += 0.05, 0.0, 0.0
-    picks = stream(kitchen, robot, "pick")
+    picks = stream(kitchen, segway, "pick")
     _, moved = next(picks("cereal_box", T, None))
     item = kitchen.object("cereal_box")
     there = replace(
@@ -97,7 +86,7 @@ def test_a_movable_object_is_picked_at_its_given_pose(kitchen: Scene, robot: Rob
             replace(o, T_world_object=T) if o is item else o for o in kitchen.objects
         ),
     )  # fmt: skip
-    verifier = PlanVerifier(there, robot, make_task(there, "pick", "cereal_box"))
+    verifier = PlanVerifier(there, segway, make_task(there, "pick", "cereal_box"))
     assert verifier.check(moved.plan.base_pose, moved.plan.motion).valid
     assert moved.plan.scene == "kitchen_small with cereal_box moved"
     with pytest.raises(InputError, match="4 x 4"):
@@ -106,19 +95,19 @@ def test_a_movable_object_is_picked_at_its_given_pose(kitchen: Scene, robot: Rob
         next(picks("cereal_box", 2.0 * T, None))
 
 
-def test_a_grasp_selects_the_grasp_families(kitchen: Scene, robot: Robot) -> None:
-    given = stream(kitchen, robot)
+def test_a_grasp_selects_the_grasp_families(kitchen: Scene, segway: Robot) -> None:
+    given = stream(kitchen, segway)
     _, pinched = next(given(DRAWER, None, GraspConfig(families=("pinch",))))
     assert {hold.family for hold in pinched.plan.motion.holds} == {"pinch"}
     # An infeasible grasp ends the stream.
     assert list(given(DRAWER, None, GraspConfig(families=("suction",)))) == []
 
 
-def test_a_stream_refuses_an_invalid_task(kitchen: Scene, robot: Robot) -> None:
+def test_a_stream_refuses_an_invalid_task(kitchen: Scene, segway: Robot) -> None:
     with pytest.raises(UnknownNameError):
-        next(stream(kitchen, robot)("cabinet_rihgt/drawer_middle_slide", None, None))
+        next(stream(kitchen, segway)("cabinet_rihgt/drawer_middle_slide", None, None))
     with pytest.raises(TaskError):
-        next(stream(kitchen, robot, "pick")("fridge", None, None))
+        next(stream(kitchen, segway, "pick")("fridge", None, None))
 
 
 # pycram
@@ -147,13 +136,15 @@ class Location:
         return next(iter(self))
 
 
-def test_a_location_yields_the_placements_in_their_order(kitchen: Scene, robot: Robot) -> None:
+def test_a_location_yields_the_placements_in_their_order(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", *DRAWER.split("/"))
     reach = Everywhere()
     backend = PlacementBackend(
-        kitchen, robot, task, lambda x, y, yaw: Pose((x, y, 0.0), yaw, "map"), reach, config=CONFIG
+        kitchen, segway, task, lambda x, y, yaw: Pose((x, y, 0.0), yaw, "map"), reach, config=CONFIG
     )
-    plans = [a.plan for a in islice(iter_placements(kitchen, robot, task, reach, config=CONFIG), 3)]
+    plans = [
+        a.plan for a in islice(iter_placements(kitchen, segway, task, reach, config=CONFIG), 3)
+    ]
     poses = list(islice(Location(backend), 3))
     assert [(p.xyz[0], p.xyz[1], p.yaw) for p in poses] == [plan.base_pose for plan in plans]
     assert {(p.xyz[2], p.frame) for p in poses} == {(0.0, "map")}
@@ -162,11 +153,11 @@ def test_a_location_yields_the_placements_in_their_order(kitchen: Scene, robot: 
     assert Location(backend, [lambda pose: pose != first]).ground() == poses[1]
 
 
-def test_a_location_without_a_placement_is_empty(kitchen: Scene, robot: Robot) -> None:
+def test_a_location_without_a_placement_is_empty(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", *DRAWER.split("/"))
     nowhere = BaseRegion(most_driving=0.0)
     backend = PlacementBackend(
-        kitchen, robot, task, lambda x, y, yaw: (x, y, yaw), Everywhere(),
+        kitchen, segway, task, lambda x, y, yaw: (x, y, yaw), Everywhere(),
         region=nowhere, config=CONFIG,
     )  # fmt: skip
     assert list(backend) == []

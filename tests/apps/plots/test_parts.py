@@ -32,8 +32,8 @@ from momapos.apps.plots.room_plot import (
 from momapos.core.geometry.polygons import signed_area
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.model.urdf.hulls import Boxes
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
@@ -100,10 +100,11 @@ def test_thinning_keeps_the_best_of_every_place() -> None:
     assert_allclose(thin(points[:1500], rank[:1500], 1500), np.arange(1500))
 
 
-def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("fetch")
-    motion = task_motion(scene, robot, make_task(scene, "pick", "cup"), MotionConfig())
-    geometry = placement_geometry(scene, robot, motion, clearance=0.01)
+def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else(
+    kitchen: Scene, fetch: Robot
+) -> None:
+    motion = task_motion(kitchen, fetch, make_task(kitchen, "pick", "cup"), MotionConfig())
+    geometry = placement_geometry(kitchen, fetch, motion, clearance=0.01)
     potential = potential_map(geometry, Always(), cell=0.2)
     i, j = np.indices(potential.value.shape).reshape(2, -1)
     xy = potential.low + 0.2 * (np.stack([j, i], -1) + 0.5)
@@ -115,16 +116,15 @@ def test_the_potential_is_zero_where_the_base_cannot_stand_and_nowhere_else() ->
     assert potential.value.max() <= 1.0
 
 
-def test_names_overlap_neither_each_other_nor_given_rectangles() -> None:
-    scene = load_scene("kitchen_small")
+def test_names_overlap_neither_each_other_nor_given_rectangles(kitchen: Scene) -> None:
     figure = Figure(figsize=(5, 5), dpi=100)
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.05, 0.05, 0.9, 0.9))
-    low, high = room_bounds(scene)
+    low, high = room_bounds(kitchen)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    draw_room(axes, scene, target="fridge")
+    draw_room(axes, kitchen, target="fridge")
     clear = np.array([[1.0, -0.7], [1.6, -0.2]])
-    name_objects(axes, scene, target="fridge", keep_clear=[clear])
+    name_objects(axes, kitchen, target="fridge", keep_clear=[clear])
     names = {text.get_text(): text.get_window_extent() for text in axes.texts}
     assert {"fridge", "table", "oven"} <= set(names)
     assert not any(name.startswith("wall_b") for name in names)
@@ -134,13 +134,12 @@ def test_names_overlap_neither_each_other_nor_given_rectangles() -> None:
         assert (box.max <= corners[0]).any() or (box.min >= corners[1]).any()
 
 
-def test_the_arm_is_drawn_to_its_tool() -> None:
-    robot = load_robot("fetch")
+def test_the_arm_is_drawn_to_its_tool(fetch: Robot) -> None:
     base = np.array([1.0, 2.0, 0.7])
-    poses, line = arm_frames(robot, base, robot.home)
-    T_world_tool = pose_planar(base) @ robot.chain.tool_poses(robot.home)
+    poses, line = arm_frames(fetch, base, fetch.home)
+    T_world_tool = pose_planar(base) @ fetch.chain.tool_poses(fetch.home)
     assert_allclose(line[-1], T_world_tool[:2, 3], atol=1e-12)
-    assert_allclose(poses[robot.tool_link], T_world_tool, atol=1e-12)
+    assert_allclose(poses[fetch.tool_link], T_world_tool, atol=1e-12)
 
 
 def test_a_long_reason_is_wrapped_completely() -> None:

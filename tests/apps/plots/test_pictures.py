@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from momapos import load_robot, load_scene
 from momapos.apps.cli.main import main
 from momapos.apps.plots.graph_plot import draw_importance
 from momapos.apps.plots.image_files import save_figure
 from momapos.apps.plots.robot_figures import draw_robot
 from momapos.apps.plots.room_plot import draw_scene
 from momapos.core.errors import InputError
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import hand_path
 from momapos.planning.importance.ranking import rank
 
@@ -79,12 +80,13 @@ def test_a_figure_is_written_even_if_printing_fails(
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_every_figure_has_the_format_of_its_file_ending(ending: str, tmp_path: Path) -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    fridge = rank(scene, "fridge", path=hand_path(scene, "fridge", "door_hinge"))
+def test_every_figure_has_the_format_of_its_file_ending(
+    ending: str, tmp_path: Path, kitchen: Scene, segway: Robot
+) -> None:
+    fridge = rank(kitchen, "fridge", path=hand_path(kitchen, "fridge", "door_hinge"))
     scene_file, robot_file, graph_file = (tmp_path / f"{i}.{ending}" for i in range(3))
-    draw_scene(scene, scene_file)
-    draw_robot(robot, robot_file)
-    draw_importance(scene, fridge, graph_file)
+    draw_scene(kitchen, scene_file)
+    draw_robot(segway, robot_file)
+    draw_importance(kitchen, fridge, graph_file)
     for path in (scene_file, robot_file, graph_file):
         assert path.read_bytes().startswith(HEADS[ending]), path

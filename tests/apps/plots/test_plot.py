@@ -172,7 +172,10 @@ def test_all_characters_of_a_figure_are_drawn(
     [
         Search(),
         Search(poses=[np.zeros((0, 3))], outcomes=[PoseOutcomes([])]),
-        Search(poses=[np.zeros((1, 3))], outcomes=[PoseOutcomes([NOWHERE])]),
+        Search(
+            poses=[np.zeros((1, 3))],
+            outcomes=[PoseOutcomes([NOWHERE])],
+        ),
         Search(poses=[np.ones((2, 3))], outcomes=[PoseOutcomes([OUTCOMES[0]] * 2)]),
     ],
     ids=["nothing", "no candidates", "out of reach at any distance", "all blocked"],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,19 +16,17 @@ from momapos.planning.reachability.map_store import load_reach
 from momapos.planning.reachability.reach_map import ReachMap
 
 
-def test_the_reachability_is_a_share_that_falls_to_zero(robots: Callable[[str], Robot]) -> None:
-    robot = robots("segway_ur5e")
-    axes = tool_axes(robot.approach_axis, robot.closing_axis)
-    share, half = reach_slice(load_reach(robot), axes, robot.reach + 0.4, 0.9, cell=0.2)
+def test_the_reachability_is_a_share_that_falls_to_zero(segway: Robot) -> None:
+    axes = tool_axes(segway.approach_axis, segway.closing_axis)
+    share, half = reach_slice(load_reach(segway), axes, segway.reach + 0.4, 0.9, cell=0.2)
     assert 0 < share.max() <= 1
     assert share[0].max() == 0
-    assert half >= robot.reach
+    assert half >= segway.reach
 
 
-def test_a_share_is_the_share_of_reachable_tool_poses(robots: Callable[[str], Robot]) -> None:
-    robot = robots("segway_ur5e")
-    reach = load_reach(robot)
-    axes = tool_axes(robot.approach_axis, robot.closing_axis)
+def test_a_share_is_the_share_of_reachable_tool_poses(segway: Robot) -> None:
+    reach = load_reach(segway)
+    axes = tool_axes(segway.approach_axis, segway.closing_axis)
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-9)
     queries: list[np.ndarray] = []
 
@@ -40,7 +37,7 @@ def test_a_share_is_the_share_of_reachable_tool_poses(robots: Callable[[str], Ro
 
     share, half = reach_slice(Recorder(), axes, 1.0, 0.9, cell=0.25, directions=20)
     (Ts,) = queries
-    along = Ts[:20, 0, :3, :3] @ robot.approach_axis
+    along = Ts[:20, 0, :3, :3] @ segway.approach_axis
     assert np.abs(along.mean(0)).max() < 0.05  # spread over the sphere
     np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
     row, column = np.unravel_index(int(share.argmax()), share.shape)
@@ -52,9 +49,9 @@ def test_a_share_is_the_share_of_reachable_tool_poses(robots: Callable[[str], Ro
 
 
 def test_a_map_displays_itself_and_a_command_draws_it(
-    robots: Callable[[str], Robot], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], segway: Robot
 ) -> None:
-    reach = load_reach(robots("segway_ur5e"))
+    reach = load_reach(segway)
     assert isinstance(reach, ReachMap)
     assert reach._repr_png_().startswith(b"\x89PNG")
     path = tmp_path / "reach.png"

@@ -51,10 +51,9 @@ def test_one_object_and_three_hundred_at_one_place_are_drawn_too(tmp_path: Path)
         assert drawn(scene, rank(scene, "b0", FAST), tmp_path / "a.png") == (1600, 1200)
 
 
-def test_equal_rankings_give_equal_figures(tmp_path: Path) -> None:
-    scene = load_scene("kitchen_small")
+def test_equal_rankings_give_equal_figures(tmp_path: Path, kitchen: Scene) -> None:
     for name in "ab":
-        draw_importance(scene, rank(scene, "fridge"), tmp_path / f"{name}.png")
+        draw_importance(kitchen, rank(kitchen, "fridge"), tmp_path / f"{name}.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
@@ -66,8 +65,7 @@ def test_close_nodes_are_pushed_apart_and_distant_ones_do_not_move() -> None:
     assert np.abs(moved[6:] - apart).max() < 1e-3
 
 
-def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
-    scene = load_scene("kitchen_small")
+def test_an_unwritable_path_is_reported(tmp_path: Path, kitchen: Scene) -> None:
     (tmp_path / "graph.png").mkdir()
     with pytest.raises(InputError, match="cannot be written"):
-        draw_importance(scene, rank(scene, "fridge", FAST), tmp_path / "graph.png")
+        draw_importance(kitchen, rank(kitchen, "fridge", FAST), tmp_path / "graph.png")

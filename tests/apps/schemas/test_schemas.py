@@ -23,8 +23,9 @@ from momapos.core.errors import InputError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.plan_files.tour_format import TourFile, TourStep, tour_to_dict
 from momapos.model.records.plans import PlacementPlan, Task
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.robots.robot_names import library_file, library_names
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_names import LIBRARY, builtin_names
 from momapos.model.trajectory import with_times
@@ -58,14 +59,13 @@ def unknown(data: Any, name: str) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def plans() -> dict[str, PlacementPlan]:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+def plans(kitchen: Scene, segway: Robot) -> dict[str, PlacementPlan]:
     found = {
-        "solved": make_task(scene, "open", "fridge", "door_hinge"),
-        "infeasible": make_task(scene, "open", "dishwasher"),
+        "solved": make_task(kitchen, "open", "fridge", "door_hinge"),
+        "infeasible": make_task(kitchen, "open", "dishwasher"),
     }
     return {
-        name: with_times(plan_base_placement(scene, robot, task).with_notes().plan, robot)
+        name: with_times(plan_base_placement(kitchen, segway, task).with_notes().plan, segway)
         for name, task in found.items()
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 from momapos.apps.web.cameras import viewpoint
 from momapos.apps.web.room_view import facing, joined, link_surfaces, world_surface
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
@@ -36,8 +35,8 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)
 
 
-def test_triangles_of_all_links_face_outward(robots: Callable[[str], Robot]) -> None:
-    for link in link_surfaces(robots("segway_ur5e").model):
+def test_triangles_of_all_links_face_outward(segway: Robot) -> None:
+    for link in link_surfaces(segway.model):
         surface = joined((link.body, link.handle))
         assert volume(surface.vertices, surface.faces) > 0, link.link
 
@@ -67,8 +66,7 @@ def test_only_the_inner_side_of_a_wall_is_drawn() -> None:
     np.testing.assert_allclose(corners[:, 1], 1.95)
 
 
-def test_the_camera_is_on_the_side_to_which_doors_open() -> None:
-    scene = load_scene("kitchen_small")
-    eye, target = viewpoint(scene)
+def test_the_camera_is_on_the_side_to_which_doors_open(kitchen: Scene) -> None:
+    eye, target = viewpoint(kitchen)
     assert eye[1] < target[1]
     assert eye[2] > 1.5

@@ -14,7 +14,7 @@ from momapos.apps.web.colors import VERDICTS
 from momapos.apps.web.page import StageCard
 from momapos.apps.web.panel import WORDS, Guide, guide_html
 from momapos.apps.web.static import phases, with_overlay
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 
 EVIL = "</script><script>alert(1)</script>"
 
@@ -94,18 +94,18 @@ def test_a_static_page_is_titled_by_its_task_and_no_name_ends_its_script() -> No
 
 
 @pytest.mark.parametrize("target", ["fridge/door_hinge", "oven/door_hinge", "table"])
-def test_the_camera_frames_robot_and_task_and_sees_the_front(target: str) -> None:
-    scene, name = load_scene("kitchen_small"), target.partition("/")[0]
+def test_the_camera_frames_robot_and_task_and_sees_the_front(target: str, kitchen: Scene) -> None:
+    name = target.partition("/")[0]
     base = np.array([2.0, -1.7, 0.5])
-    front = front_of(scene, target, base)
-    eye, look_at = task_viewpoint(scene, name, front, base[None])
+    front = front_of(kitchen, target, base)
+    eye, look_at = task_viewpoint(kitchen, name, front, base[None])
     ahead = (look_at - eye) / np.linalg.norm(look_at - eye)
-    points = np.array([[*base[:2], 0.1], [*base[:2], 1.4], scene.object(name).bounds.mean(0)])
+    points = np.array([[*base[:2], 0.1], [*base[:2], 1.4], kitchen.object(name).bounds.mean(0)])
     away = (points - eye) / np.linalg.norm(points - eye, axis=1)[:, None]
     assert (np.arccos(away @ ahead) < FIELD).all()
-    middle = scene.object(name).bounds.mean(0)[:2]
+    middle = kitchen.object(name).bounds.mean(0)[:2]
     assert (eye[:2] - middle) @ front > 0.0  # in front of it
-    others = [o.bounds for o in scene.objects if o.name != name and o.category != "wall"]
+    others = [o.bounds for o in kitchen.objects if o.name != name and o.category != "wall"]
     assert hidden(eye[None], points[1:2], np.array(others)).mean() == 0.0
 
 

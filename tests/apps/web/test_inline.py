@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from momapos.apps.web import static as inline
 from momapos.core.errors import InputError
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 
@@ -20,12 +19,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def test_scenes_and_answers_are_images_and_answers_play(
-    robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, kitchen: Scene, segway: Robot
 ) -> None:
-    scene = load_scene("kitchen_small")
-    task = make_task(scene, "open", "fridge", "door_hinge")
-    answer = plan_base_placement(scene, robots("segway_ur5e"), task)
-    assert scene._repr_png_().startswith(PNG)
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    answer = plan_base_placement(kitchen, segway, task)
+    assert kitchen._repr_png_().startswith(PNG)
     assert answer._repr_png_().startswith(PNG)
     opened: list[str] = []
     monkeypatch.setattr(inline.webbrowser, "open", opened.append)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from momapos.core.errors import escape_markdown
 from momapos.core.geometry.transforms import place_points, pose_planar
 from momapos.model.records.outcomes import Tolerance
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject, upright_boxes
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -25,10 +24,9 @@ from momapos.planning.robust import unit_offsets
 
 
 @pytest.fixture(scope="module")
-def answer(robots: Callable[[str], Robot]) -> PlacementResult:
-    scene = load_scene("kitchen_small")
-    task = make_task(scene, "open", "fridge", "door_hinge")
-    return plan_base_placement(scene, robots("segway_ur5e"), task)
+def answer(kitchen: Scene, segway: Robot) -> PlacementResult:
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    return plan_base_placement(kitchen, segway, task)
 
 
 def test_the_free_area_is_where_the_base_stands_clear(answer: PlacementResult) -> None:
@@ -109,12 +107,11 @@ def test_text_from_files_is_escape_markdown() -> None:
 
 
 def test_a_picked_object_moves_with_the_hand_after_it_is_grasped(
-    robots: Callable[[str], Robot],
+    kitchen: Scene, segway: Robot
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    plan = plan_base_placement(scene, robot, make_task(scene, "pick", "cup")).plan
-    story = Story.of(plan, robot, scene)
-    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    plan = plan_base_placement(kitchen, segway, make_task(kitchen, "pick", "cup")).plan
+    story = Story.of(plan, segway, kitchen)
+    rest = kitchen.object("cup").link_poses()[kitchen.object("cup").model.urdf.root]
     first, last = story.at(0.0), story.at(story.duration)
     np.testing.assert_allclose(first.T_world_object, rest)
     moved = plan.motion.Ts_world_tool[-1] @ np.linalg.inv(plan.motion.Ts_world_tool[0])
@@ -125,13 +122,12 @@ def test_a_picked_object_moves_with_the_hand_after_it_is_grasped(
 
 
 def test_a_placed_object_is_in_the_hand_until_it_stands_in_its_place(
-    robots: Callable[[str], Robot],
+    kitchen: Scene, segway: Robot
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    plan = plan_base_placement(scene, robot, make_task(scene, "place", "cup")).plan
+    plan = plan_base_placement(kitchen, segway, make_task(kitchen, "place", "cup")).plan
     assert plan.motion is not None
-    story = Story.of(plan, robot, scene)
-    rest = scene.object("cup").link_poses()[scene.object("cup").model.urdf.root]
+    story = Story.of(plan, segway, kitchen)
+    rest = kitchen.object("cup").link_poses()[kitchen.object("cup").model.urdf.root]
     T = story.at(0.0).T_world_object
     assert np.linalg.norm(T[:3, 3] - rest[:3, 3]) > 0.5
     np.testing.assert_allclose(story.at(story.duration).T_world_object, rest)

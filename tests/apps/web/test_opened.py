@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from momapos.core.errors import InputError
 from momapos.core.units import parse_quantity
 from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.run_record import Execution, Load, RunMotion, RunRecord, write_run
@@ -36,8 +35,8 @@ RECORD = RunRecord(
 )  # fmt: skip
 
 
-def test_a_run_is_shown_as_recorded(robots: Callable[[str], Robot]) -> None:
-    story = RunStory.of(RECORD, robots("segway_ur5e"))
+def test_a_run_is_shown_as_recorded(segway: Robot) -> None:
+    story = RunStory.of(RECORD, segway)
     assert story.duration == 3.0
     np.testing.assert_allclose(story.at(-1.0).base, MOTION.bases[0])
     last = story.at(9.0)
@@ -53,12 +52,12 @@ def test_a_run_is_shown_as_recorded(robots: Callable[[str], Robot]) -> None:
     assert (now.phase, now.force.tolist()) == ("manipulate", [0.0, 30.0, 0.0])
 
 
-def test_a_movable_object_moves_along(robots: Callable[[str], Robot]) -> None:
+def test_a_movable_object_moves_along(segway: Robot) -> None:
     poses = ((0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0),
              (0.5, 0.0, 1.2, 0.0, 0.0, 0.0, 1.0))  # fmt: skip
     motion = replace(MOTION, part=(), poses=poses)
     record = replace(RECORD, task=Task("pick", "cup"), motion=motion)
-    moment = RunStory.of(record, robots("segway_ur5e")).at(3.0)
+    moment = RunStory.of(record, segway).at(3.0)
     T = moment.T_world_object
     np.testing.assert_allclose(T[:3, 3], [0.5, 0.0, 1.2])
     np.testing.assert_allclose(T[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
@@ -66,12 +65,12 @@ def test_a_movable_object_moves_along(robots: Callable[[str], Robot]) -> None:
 
 
 def test_a_record_without_motion_or_of_another_robot_is_refused(
-    robots: Callable[[str], Robot],
+    segway: Robot, fetch: Robot
 ) -> None:
     with pytest.raises(InputError, match="run record contains no motion"):
-        RunStory.of(replace(RECORD, motion=None), robots("segway_ur5e"))
+        RunStory.of(replace(RECORD, motion=None), segway)
     with pytest.raises(InputError, match="elbow_joint"):
-        RunStory.of(RECORD, robots("fetch"))
+        RunStory.of(RECORD, fetch)
 
 
 def test_a_run_is_described_in_text() -> None:
@@ -134,15 +133,16 @@ def test_a_solve_folder_is_shown_by_its_run_or_else_by_its_plan(tmp_path: Path) 
     assert source_in(str(tmp_path)) == str(tmp_path / "run.json")
 
 
-def test_a_page_of_a_run_in_another_world_shows_that_world(robots: Callable[[str], Robot]) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
+def test_a_page_of_a_run_in_another_world_shows_that_world(kitchen: Scene, segway: Robot) -> None:
+    plan = plan_base_placement(
+        kitchen, segway, make_task(kitchen, "open", "fridge", "door_hinge")
+    ).plan
     other = replace(plan, task=replace(plan.task, object="what the robot took it for"))
     world = replace(RECORD, true_task=plan.task)
-    opened = Opened("world", scene, robot, other, world)
+    opened = Opened("world", kitchen, segway, other, world)
     assert opened.answer() is None
     assert opened.question.target == "fridge/door_hinge"
-    page = page_of(scene, robot, other, opened.story(), "fridge")
+    page = page_of(kitchen, segway, other, opened.story(), "fridge")
     assert page.startswith("<!")
     assert len(page) > 100_000
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,16 +11,17 @@ from momapos.apps.web.probe import Probe, named_in
 from momapos.apps.web.work import Stopped, StopSignal
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.reachability.map_store import load_reach
 
 
 @pytest.fixture(scope="module")
-def probe(robots: Callable[[str], Robot]) -> Probe:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    return Probe(scene, robot, make_task(scene, "open", "fridge", "door_hinge"), load_reach(robot))
+def probe(kitchen: Scene, segway: Robot) -> Probe:
+    return Probe(
+        kitchen, segway, make_task(kitchen, "open", "fridge", "door_hinge"), load_reach(segway)
+    )
 
 
 def test_a_dragged_base_gets_the_same_outcome_as_check_base_pose(probe: Probe) -> None:

@@ -9,6 +9,7 @@ from tests.apps.web.pages import serve
 
 from momapos.apps.web.extras import file_in, save_plan, save_room
 from momapos.core.errors import InputError
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 
 
@@ -37,9 +38,8 @@ def test_without_an_answer_there_is_no_plan_to_save(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_saved_scene_has_the_joint_values_of_the_page(tmp_path: Path) -> None:
-    scene = load_scene("kitchen_small")
-    path = save_room(tmp_path, "room.json", scene, "fridge", {"door_hinge": 0.5})
+def test_a_saved_scene_has_the_joint_values_of_the_page(tmp_path: Path, kitchen: Scene) -> None:
+    path = save_room(tmp_path, "room.json", kitchen, "fridge", {"door_hinge": 0.5})
     assert load_scene(path).object("fridge").values()["door_hinge"] == pytest.approx(0.5)
 
 

@@ -23,7 +23,7 @@ from momapos.apps.web.serve import check_free, open_server, quiet
 from momapos.apps.web.static import check_page
 from momapos.core.cache import USER_CACHE
 from momapos.core.errors import InputError
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 
 LONG = 60.0
 
@@ -151,12 +151,11 @@ def test_an_answer_stays_with_its_question(page: Page) -> None:
     assert page.panel.target.value == "microwave/door_hinge"
 
 
-def test_every_verb_has_targets() -> None:
-    scene = load_scene("kitchen_small")
+def test_every_verb_has_targets(kitchen: Scene) -> None:
     for verb in VERBS:
-        assert targets(scene, verb)
-    assert targets(scene, "open")[0] == "fridge/door_hinge"
-    assert "wall_back" not in targets(scene, "pick")
+        assert targets(kitchen, verb)
+    assert targets(kitchen, "open")[0] == "fridge/door_hinge"
+    assert "wall_back" not in targets(kitchen, "pick")
 
 
 def test_a_player_stops_at_the_end_and_plays_again_from_the_beginning() -> None:

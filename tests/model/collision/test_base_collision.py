@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import coal
 import numpy as np
 import pytest
@@ -94,8 +92,8 @@ def test_hits_do_not_change_if_base_and_scene_move_together(robot: Robot) -> Non
     assert 0 < (here == FREE).sum() < len(here)
 
 
-def test_a_larger_clearance_never_frees_a_base_pose(robots: Callable[[str], Robot]) -> None:
-    rng, base = np.random.default_rng(2), robots("husky_ur5e").base
+def test_a_larger_clearance_never_frees_a_base_pose(husky: Robot) -> None:
+    rng, base = np.random.default_rng(2), husky.base
     room = random_boxes(5, rng, (-1.2, -1.2, 0.0), (1.2, 1.2, 1.2))
     bases = rng.uniform((-2, -2, -np.pi), (2, 2, np.pi), (500, 3))
     free = [base_hits(bases, base, room, clearance=c) == FREE for c in (0.0, 0.05, 0.2)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import coal
 import numpy as np
 import pytest
@@ -147,26 +145,26 @@ def test_kernels_agree_with_brute_force(
     assert len(np.unique(expected)) > (3 if static + moving else 1)
 
 
-def test_spheres_in_the_last_cells_of_the_grid_are_checked(robots: Callable[[str], Robot]) -> None:
+def test_spheres_in_the_last_cells_of_the_grid_are_checked(segway: Robot) -> None:
     """Bases are around one box, at the distance where the arm just touches it or not."""
-    robot, rng = robots("segway_ur5e"), np.random.default_rng(1)
+    rng = np.random.default_rng(1)
     one = Boxes(np.array([[0.0, 0.0, 1.2]]), rotations(1, rng), np.array([[0.1, 0.2, 0.3]]))
     world = build_world(
-        one, moved_by_joint(NONE, 3, rng), np.zeros(0, bool), ["box"], robot.spheres,
+        one, moved_by_joint(NONE, 3, rng), np.zeros(0, bool), ["box"], segway.spheres,
         clearance=0.02,
     )  # fmt: skip
     angle, far = rng.uniform(-np.pi, np.pi, 1000), rng.uniform(0.2, 1.5, 1000)
-    q, bases, value, holding = situations(robot, 1000, rng, 1.0)
+    q, bases, value, holding = situations(segway, 1000, rng, 1.0)
     bases[:, 0], bases[:, 1] = far * np.cos(angle), far * np.sin(angle)
     case = (q, bases, value, holding)
-    expected = Twin(world, robot.chain, robot.spheres).codes(*case)
+    expected = Twin(world, segway.chain, segway.spheres).codes(*case)
     assert 0.02 < (expected == 0).mean() < 0.9
-    np.testing.assert_array_equal(check(world, robot.chain, robot.spheres, *case), expected)
+    np.testing.assert_array_equal(check(world, segway.chain, segway.spheres, *case), expected)
 
 
-def test_a_larger_or_shifted_grid_changes_no_result(robots: Callable[[str], Robot]) -> None:
+def test_a_larger_or_shifted_grid_changes_no_result(fetch: Robot) -> None:
     """Boxes far away enlarge and shift the grid."""
-    robot, rng = robots("fetch"), np.random.default_rng(2)
+    rng = np.random.default_rng(2)
     boxes = random_boxes(6, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.5))
     far = Boxes(np.array([[9.3, -7.77, 4.1 * CELL]]), np.eye(3)[None], np.full((1, 3), 0.05))
     both = Boxes(
@@ -175,14 +173,14 @@ def test_a_larger_or_shifted_grid_changes_no_result(robots: Callable[[str], Robo
             for k in ("center", "rotation", "half")
         )
     )
-    case = situations(robot, 500, rng, 1.0)
+    case = situations(fetch, 500, rng, 1.0)
     codes = [
         check(
             build_world(
                 some, moved_by_joint(NONE, 3, rng), np.zeros(0, bool), ["box"] * len(some),
-                robot.spheres, clearance=0.01,
+                fetch.spheres, clearance=0.01,
             ),
-            robot.chain, robot.spheres, *case,
+            fetch.chain, fetch.spheres, *case,
         )
         for some in (boxes, both)
     ]  # fmt: skip
@@ -201,23 +199,23 @@ def test_both_kernels_agree(robot: Robot) -> None:
     np.testing.assert_array_equal(np.minimum(one, 0), np.minimum(many, 0))
 
 
-def test_a_carried_object_is_checked_like_the_hand(robots: Callable[[str], Robot]) -> None:
+def test_a_carried_object_is_checked_like_the_hand(segway: Robot) -> None:
     """A robot with an object hits what the robot hits alone, and what the object hits."""
-    robot, rng = robots("segway_ur5e"), np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
     center, radius = box_spheres(thing)
-    in_segment = robot.chain.tool_offset + center @ robot.chain.tool_rotation.T
-    with_payload = carry(robot.spheres, robot.chain.size, in_segment, radius)
+    in_segment = segway.chain.tool_offset + center @ segway.chain.tool_rotation.T
+    with_payload = carry(segway.spheres, segway.chain.size, in_segment, radius)
     world = build_world(
         random_boxes(8, rng, (-1.0, -1.0, 0.2), (1.0, 1.0, 1.8)), moved_by_joint(NONE, 3, rng),
         np.zeros(0, bool), [""] * 8, with_payload, clearance=0.0,
     )  # fmt: skip
-    case = situations(robot, 500, rng, 0.5)
-    with_it = check(world, robot.chain, with_payload, *case)
-    np.testing.assert_array_equal(with_it, Twin(world, robot.chain, with_payload).codes(*case))
-    alone = check(world, robot.chain, robot.spheres, *case)
+    case = situations(segway, 500, rng, 0.5)
+    with_it = check(world, segway.chain, with_payload, *case)
+    np.testing.assert_array_equal(with_it, Twin(world, segway.chain, with_payload).codes(*case))
+    alone = check(world, segway.chain, segway.spheres, *case)
     assert (with_it[alone != FREE] != FREE).all()
-    Ts = pose_planar(case[1]) @ robot.chain.tool_poses(case[0])
+    Ts = pose_planar(case[1]) @ segway.chain.tool_poses(case[0])
     boxes = world.static.center, world.static.rotation, world.static.half
     inside = gaps(Ts[:, :3, 3] + Ts[:, :3, 2] * 0.12, *boxes).min(1) == 0
     assert inside.any()
@@ -328,7 +326,7 @@ def test_self_collision_agrees_with_coal(robot: Robot) -> None:
     assert distance[codes == SELF].max() < 2 * BODY
 
 
-def test_codes_have_descriptions(robots: Callable[[str], Robot]) -> None:
-    world = world_of(robots("fetch"), np.random.default_rng(7), static=2, moving=1, clearance=0.0)
+def test_codes_have_descriptions(fetch: Robot) -> None:
+    world = world_of(fetch, np.random.default_rng(7), static=2, moving=1, clearance=0.0)
     words = [world.reason(code) for code in (FREE, SELF, FLOOR, 0, 2)]
     assert words == ["free", "the robot itself", "the floor", "box 0", "box 2"]

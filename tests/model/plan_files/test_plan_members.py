@@ -14,7 +14,7 @@ from momapos.apps.cli.loading import _robot
 from momapos.core.errors import FileFormatError, RobotError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -25,17 +25,16 @@ CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, segway: Robot) -> Path:
     """Return a folder with a scene, and a robot file in another folder than its URDF."""
     folder = tmp_path_factory.mktemp("own")
-    robot = load_robot("segway_ur5e")
-    urdf = robot.model.urdf.path
+    urdf = segway.model.urdf.path
     pairs = "".join(
         f'<disable_collisions link1="{a}" link2="{b}" reason="Always"/>'
-        for a, b in map(sorted, robot.disabled)
+        for a, b in map(sorted, segway.disabled)
     )
     (folder / "mine.srdf").write_text(f'<robot name="mine">{pairs}</robot>')
-    text = robot.path.read_text().replace(f'urdf = "{urdf.name}"', f'urdf = "{urdf}"')
+    text = segway.path.read_text().replace(f'urdf = "{urdf.name}"', f'urdf = "{urdf}"')
     text = text.replace("base_link =", 'srdf = "mine.srdf"\nbase_link =', 1)
     (folder / "mine.toml").write_text(text)
     return folder

@@ -27,8 +27,7 @@ def test_confidences_round_trip(tmp_path: Path) -> None:
     assert second.confidence is None
 
 
-def test_confidences_of_parts_are_read_by_joint(tmp_path: Path) -> None:
-    kitchen = load_scene("kitchen_small")
+def test_confidences_of_parts_are_read_by_joint(tmp_path: Path, kitchen: Scene) -> None:
     door = kitchen.object("fridge")
     joint = next(iter(door.model.joints))
     path = tmp_path / "s.json"

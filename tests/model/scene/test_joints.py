@@ -12,9 +12,8 @@ from tests.rooms import Everywhere, cabinet_room
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene import set_joints
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene, set_joints
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -24,12 +23,11 @@ from momapos.verification.plan_check import verify_files
 CONFIG = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 
 
-def test_a_set_joint_has_its_value_and_is_recorded() -> None:
-    scene = load_scene("kitchen_small")
-    ajar = set_joints(scene, ["fridge/door_hinge=60deg", "cabinet_left/drawer_slide=10cm"])
+def test_a_set_joint_has_its_value_and_is_recorded(kitchen: Scene) -> None:
+    ajar = set_joints(kitchen, ["fridge/door_hinge=60deg", "cabinet_left/drawer_slide=10cm"])
     assert ajar.object("fridge").values()["door_hinge"] == pytest.approx(np.pi / 3)
     assert ajar.object("cabinet_left").values()["drawer_slide"] == pytest.approx(0.1)
-    assert scene.joints_set == {}
+    assert kitchen.joints_set == {}
     assert ajar.joints_set == {
         "fridge": {"door_hinge": pytest.approx(np.pi / 3)},
         "cabinet_left": {"drawer_slide": pytest.approx(0.1)},
@@ -49,10 +47,10 @@ def test_a_set_joint_has_its_value_and_is_recorded() -> None:
     ],
 )
 def test_an_invalid_joint_value_is_refused_in_one_line(
-    text: str, words: str, capsys: pytest.CaptureFixture[str]
+    text: str, words: str, capsys: pytest.CaptureFixture[str], kitchen: Scene
 ) -> None:
     with pytest.raises(MomaposError, match=words):
-        set_joints(load_scene("kitchen_small"), [text])
+        set_joints(kitchen, [text])
     for command in (["scene", "show", "kitchen_small"], ["rank", "kitchen_small", "fridge"]):
         assert main([*command, "--joint", text]) == 2
         assert capsys.readouterr().err.count("\n") == 1
@@ -67,12 +65,11 @@ def test_a_scene_is_shown_with_its_doors_open(capsys: pytest.CaptureFixture[str]
 
 
 def test_a_plan_to_close_a_door_that_was_set_open_is_verified_and_round_trips(
-    tmp_path: Path,
+    tmp_path: Path, segway: Robot
 ) -> None:
     ajar = set_joints(cabinet_room(tmp_path), ["cabinet/hinge=60deg"])
-    robot = load_robot("segway_ur5e")
     task = make_task(ajar, "close", "cabinet")
-    plan = plan_base_placement(ajar, robot, task, Everywhere(), config=CONFIG).plan
+    plan = plan_base_placement(ajar, segway, task, Everywhere(), config=CONFIG).plan
     assert plan.status == "solved"
     path = tmp_path / "plan.json"
     write_plan(plan, path)

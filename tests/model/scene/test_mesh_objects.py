@@ -15,7 +15,7 @@ from tests.shapes import unchecked
 
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import write_plan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.formats.importing import write_mjcf
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
@@ -113,13 +113,15 @@ def test_a_mesh_is_drawn_and_exported_as_it_is(tmp_path: Path) -> None:
     assert model.nmesh == 1
 
 
-def test_a_pick_over_a_table_made_in_code_is_planned_and_verified(tmp_path: Path) -> None:
+def test_a_pick_over_a_table_made_in_code_is_planned_and_verified(
+    tmp_path: Path, fetch: Robot
+) -> None:
     table_here = SceneObject.from_trimesh("table", table(), (1.5, 0, 0))
     mug = SceneObject.box("mug", (0.06, 0.06, 0.1), (1.3, 0, 0.77))
     floor = np.array([[-2.0, -2], [3, -2], [3, 2], [-2, 2]])
     scene = replace(Scene("room", (table_here, mug)), floor_polygon=floor, start=np.zeros(3))
     scene = save_scene(scene, tmp_path / "room.json")
-    answer = plan_base_placement(scene, load_robot("fetch"), make_task(scene, "pick", "mug"))
+    answer = plan_base_placement(scene, fetch, make_task(scene, "pick", "mug"))
     assert answer.plan.status == "solved"
     write_plan(answer.plan, tmp_path / "plan.json")
     assert verify_files(tmp_path / "plan.json").valid

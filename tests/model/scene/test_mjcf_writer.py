@@ -14,7 +14,7 @@ from tests.cupboards import DOOR, HINGE, carcass, furniture_room
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.formats.importing import write_mjcf, write_room
 from momapos.model.scene.formats.mjcf import read_room
 from momapos.model.scene.scene import Scene
@@ -91,8 +91,8 @@ def test_every_part_of_a_kitchen_moves_alike_in_mujoco(name: str, tmp_path: Path
     assert max(max(one.error, one.limits) for one in found) < 1e-9
 
 
-def test_furniture_stands_still_in_mujoco(tmp_path: Path) -> None:
-    write_mjcf(load_scene("kitchen_small"), tmp_path / "room.xml")
+def test_furniture_stands_still_in_mujoco(tmp_path: Path, kitchen: Scene) -> None:
+    write_mjcf(kitchen, tmp_path / "room.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "room.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 50)
@@ -101,11 +101,12 @@ def test_furniture_stands_still_in_mujoco(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("target", [("fridge", "door_hinge"), ("microwave", "door_hinge")])
-def test_plans_are_the_same_after_a_round_trip(target: tuple[str, str], tmp_path: Path) -> None:
-    robot, scene = load_robot("segway_ur5e"), load_scene("kitchen_small")
+def test_plans_are_the_same_after_a_round_trip(
+    target: tuple[str, str], tmp_path: Path, segway: Robot, kitchen: Scene
+) -> None:
     plans = [
-        plan_base_placement(room, robot, make_task(room, "open", *target)).plan
-        for room in (scene, round_trip(scene, tmp_path))
+        plan_base_placement(room, segway, make_task(room, "open", *target)).plan
+        for room in (kitchen, round_trip(kitchen, tmp_path))
     ]
     assert plans[0].status == plans[1].status
     if plans[0].base_pose is not None:

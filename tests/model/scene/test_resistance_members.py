@@ -15,7 +15,7 @@ from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError, MomaposError, UrdfError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import JointResistance, PlacementPlan, Task
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.reader import read_urdf
@@ -95,10 +95,10 @@ def test_a_scene_is_given_resistances_in_code(tmp_path: Path) -> None:
         scene.with_resistance({"cupboard": {"lid": one}})
 
 
-def test_resistances_travel_in_plans_and_old_plans_have_none(tmp_path: Path) -> None:
-    path, robot = written(tmp_path, {}), load_robot("fetch")
+def test_resistances_travel_in_plans_and_old_plans_have_none(tmp_path: Path, fetch: Robot) -> None:
+    path = written(tmp_path, {})
     plan = PlacementPlan(
-        scene=str(path), robot_name="fetch", robot_urdf=str(robot.model.urdf.path),
+        scene=str(path), robot_name="fetch", robot_urdf=str(fetch.model.urdf.path),
         base_link="base_link", tool_link="gripper_link",
         task=Task("open", "cupboard", "hinge", 1.0), status="infeasible", joints=("a",),
         resistance={"cupboard": {"hinge": JointResistance(**KNOWN)}},  # type: ignore[arg-type]

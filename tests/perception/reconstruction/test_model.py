@@ -17,6 +17,7 @@ from momapos.core.geometry.polygons import UprightBox
 from momapos.core.geometry.transforms import apply, invert, pose, rotation_about
 from momapos.model.records.scans import Detection, FaceImage, Part, PartKind
 from momapos.model.scene.library.kitchen_writer import Piece, urdf_text
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated, opening_of
@@ -195,8 +196,10 @@ def test_the_handle_rotates_about_the_true_hinge(kind: PartKind, value: float) -
 
 
 @pytest.mark.parametrize("name", ["fridge", "oven", "dishwasher", "cabinet_left"])
-def test_the_true_front_of_a_kitchen_piece_gives_the_true_handle_paths(name: str) -> None:
-    item = load_scene("kitchen_small").object(name)
+def test_the_true_front_of_a_kitchen_piece_gives_the_true_handle_paths(
+    name: str, kitchen: Scene
+) -> None:
+    item = kitchen.object(name)
     joints = {j: r for j, r in item.model.joints.items() if has_handle(item.model, j)}
     _, out = opening_direction(item, next(iter(joints)))
     facing = float(np.round(np.arctan2(out[1], out[0]) / (np.pi / 2)) * np.pi / 2)

@@ -9,7 +9,7 @@ import pytest
 
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.collision_world import check
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion import arm_path
 from momapos.planning.arm_motion.arm_path import BROKEN, FOUND, HIT, ArmPath, find_paths
@@ -24,11 +24,6 @@ TASKS = [
     ("cabinet_right", "drawer_top_slide"),
     ("microwave", "door_hinge"),
 ]
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("fetch")
 
 
 def _prepared(robot: Robot, name: str, joint: str) -> PreparedTask:
@@ -76,15 +71,15 @@ def _only_free(ready: PreparedTask, robot: Robot, bases: np.ndarray, found: Laye
 
 @pytest.mark.parametrize(("name", "joint"), TASKS)
 def test_lazy_checks_give_the_path_of_complete_checks(
-    robot: Robot, name: str, joint: str, monkeypatch: pytest.MonkeyPatch
+    fetch: Robot, name: str, joint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ready = _prepared(robot, name, joint)
+    ready = _prepared(fetch, name, joint)
     bases, modes = _base_poses(ready, 120)
-    find = partial(find_paths, robot, ready.world, ready.motion, bases, modes)
+    find = partial(find_paths, fetch, ready.world, ready.motion, bases, modes)
     lazy = find({})
 
     def checked(*args: object) -> Layers:
-        return _only_free(ready, robot, bases, solve_layers(*args))  # type: ignore[arg-type]
+        return _only_free(ready, fetch, bases, solve_layers(*args))  # type: ignore[arg-type]
 
     monkeypatch.setattr(arm_path, "solve_layers", checked)
     for one, other in zip(lazy, find({}), strict=True):
@@ -95,12 +90,12 @@ def test_lazy_checks_give_the_path_of_complete_checks(
 
 
 def test_a_path_avoids_configurations_that_collide(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
+    fetch: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without this test, nobody would notice if the lazy checks were skipped."""
-    ready = _prepared(robot, "microwave", "door_hinge")
+    ready = _prepared(fetch, "microwave", "door_hinge")
     bases, modes = _base_poses(ready, 120)
-    find = partial(find_paths, robot, ready.world, ready.motion, bases, modes)
+    find = partial(find_paths, fetch, ready.world, ready.motion, bases, modes)
     paths = find({})
 
     def unchecked(*args: object) -> Layers:
@@ -114,15 +109,15 @@ def test_a_path_avoids_configurations_that_collide(
     for base, path in zip(bases, paths, strict=True):
         if path.q is not None:
             codes = check(
-                ready.world, robot.chain, arm_spheres(robot), path.q,
+                ready.world, fetch.chain, arm_spheres(fetch), path.q,
                 np.tile(base, (len(path.q), 1)), motion.value, motion.holding,
             )  # fmt: skip
             assert (codes == FREE).all()
 
 
 @pytest.mark.parametrize("moves", [False, True])
-def test_a_batch_gives_what_its_jobs_give_alone(robot: Robot, *, moves: bool) -> None:
-    ready = _prepared(robot, "fridge", "door_hinge")
+def test_a_batch_gives_what_its_jobs_give_alone(fetch: Robot, *, moves: bool) -> None:
+    ready = _prepared(fetch, "fridge", "door_hinge")
     bases, modes = _base_poses(ready, 60)
     if moves:
         share = np.linspace(0.0, 0.1, len(ready.motion.value))[:, None]
@@ -131,7 +126,7 @@ def test_a_batch_gives_what_its_jobs_give_alone(robot: Robot, *, moves: bool) ->
     def hits_late(poses: np.ndarray, value: np.ndarray) -> np.ndarray:
         return np.where(value > len(poses) // 2, 0, FREE)
 
-    find = partial(find_paths, robot, ready.world, ready.motion)
+    find = partial(find_paths, fetch, ready.world, ready.motion)
     find = partial(find, stands=hits_late if moves else None)
     every = find(bases, modes, {})
     assert len({path.status for path in every}) > 1
@@ -141,10 +136,10 @@ def test_a_batch_gives_what_its_jobs_give_alone(robot: Robot, *, moves: bool) ->
         np.testing.assert_equal(vars(alone), vars(path))
 
 
-def test_a_failed_path_reports_waypoint_and_obstacle(robot: Robot) -> None:
-    ready = _prepared(robot, "fridge", "door_hinge")
+def test_a_failed_path_reports_waypoint_and_obstacle(fetch: Robot) -> None:
+    ready = _prepared(fetch, "fridge", "door_hinge")
     bases, modes = _base_poses(ready, 120)
-    paths = find_paths(robot, ready.world, ready.motion, bases, modes, {})
+    paths = find_paths(fetch, ready.world, ready.motion, bases, modes, {})
     failed = [path for path in paths if path.status in (HIT, BROKEN)]
     assert failed
     for path in failed:
@@ -152,6 +147,6 @@ def test_a_failed_path_reports_waypoint_and_obstacle(robot: Robot) -> None:
         assert 0 <= path.waypoint < len(ready.motion.waypoint_steps)
         assert (path.obstacle == FREE) == (path.status == BROKEN)
     far = bases + np.array([50.0, 0.0, 0.0])
-    unreachable = find_paths(robot, ready.world, ready.motion, far, modes, {})
+    unreachable = find_paths(fetch, ready.world, ready.motion, far, modes, {})
     wanted = vars(ArmPath(arm_path.UNREACHABLE, 1, 0, FREE))
     assert all(vars(path) == wanted for path in unreachable)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -52,44 +51,40 @@ def reason(scene: Scene, robot: Robot) -> str:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])
 @pytest.mark.parametrize("gap", [0.0, 0.008])
-def test_closed_panels_enclose_the_hand_and_are_named(
-    robots: Callable[[str], Robot], gap: float, yaw: float
-) -> None:
-    found = reason(case_around_a_mug(gap=gap, yaw=yaw), robots("fetch"))
+def test_closed_panels_enclose_the_hand_and_are_named(gap: float, yaw: float, fetch: Robot) -> None:
+    found = reason(case_around_a_mug(gap=gap, yaw=yaw), fetch)
     assert found.endswith(" enclose the hand in every grasp")
     sides = {"front_low", "front_high", "side_low", "side_high", "cover_low", "cover_high"}
     assert len({name for name in sides if f"{name}/box" in found}) == MAX_NAMES
 
 
 @pytest.mark.parametrize("name", ["front_low", "side_high", "cover_high"])
-def test_a_missing_panel_lets_the_hand_in(robots: Callable[[str], Robot], name: str) -> None:
-    assert reason(case_around_a_mug(gap=0.0, leave_out=name), robots("fetch")) == ""
+def test_a_missing_panel_lets_the_hand_in(name: str, fetch: Robot) -> None:
+    assert reason(case_around_a_mug(gap=0.0, leave_out=name), fetch) == ""
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6])
-def test_a_gap_that_an_arm_may_fit_through_counts_as_open(
-    robots: Callable[[str], Robot], yaw: float
-) -> None:
-    assert reason(case_around_a_mug(gap=0.08, yaw=yaw), robots("fetch")) == ""
+def test_a_gap_that_an_arm_may_fit_through_counts_as_open(yaw: float, fetch: Robot) -> None:
+    assert reason(case_around_a_mug(gap=0.08, yaw=yaw), fetch) == ""
 
 
 @pytest.mark.parametrize(("angle", "enclosed"), [(0.0, True), (1.4, False)])
 def test_the_content_of_a_cupboard_is_enclosed_until_its_door_is_open(
-    robots: Callable[[str], Robot], tmp_path: Path, angle: float, enclosed: bool
+    tmp_path: Path, angle: float, enclosed: bool, fetch: Robot
 ) -> None:
     scene = furniture_room(tmp_path, [carcass(), DOOR, HINGE]).with_joint(
         "cupboard", "hinge", angle
     )
     mug = SceneObject.box("mug", (0.07, 0.07, 0.1), (0.8, 0.0, 0.35))
     scene = Scene("room", (*scene.objects, mug), start=np.array([-1.5, 0.0, 0.0]))
-    found = reason(scene, robots("fetch"))
+    found = reason(scene, fetch)
     assert (found == "cupboard/body and cupboard/door enclose the hand in every grasp") == enclosed
 
 
-def test_no_arm_is_checked_for_an_enclosed_object(robots: Callable[[str], Robot]) -> None:
+def test_no_arm_is_checked_for_an_enclosed_object(fetch: Robot) -> None:
     scene = case_around_a_mug(gap=0.0)
     task = make_task(scene, "pick", "mug")
-    plan = plan_base_placement(scene, robots("fetch"), task, Everywhere()).plan
+    plan = plan_base_placement(scene, fetch, task, Everywhere()).plan
     assert plan.status == "infeasible"
     assert plan.candidates.checked == 0
     assert "enclose the hand" in next(iter(plan.candidates.rejections))

@@ -11,7 +11,6 @@ from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.records.plans import JointResistance
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.arm_motion.arm_path import FOUND, HIT
 from momapos.planning.arm_motion.free_turn import _feasible_modes, find_short_paths, fitted_bases
 from momapos.planning.config import PipelineConfig
@@ -25,15 +24,9 @@ CONFIG = replace(CONFIG, place=replace(CONFIG.place, grid=False, rounds=2))
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def short_arm() -> Robot:
+def short_arm(husky: Robot) -> Robot:
     """Provide a UR5e whose last joint is fixed."""
-    robot = load_robot("husky_ur5e")
-    return replace(robot, arm_joints=robot.arm_joints[:-1], home=robot.home[:-1])
+    return replace(husky, arm_joints=husky.arm_joints[:-1], home=husky.home[:-1])
 
 
 @pytest.mark.parametrize(
@@ -74,22 +67,21 @@ def test_a_hand_that_turns_stays_on_the_bar(kitchen: Scene, short_arm: Robot) ->
     [("fridge", "door_hinge", 0.3), ("cabinet_right", "drawer_top_slide", 0.4)],
 )
 def test_from_a_fitted_base_pose_the_arm_follows_the_motion_in_the_returned_mode(
-    kitchen: Scene, name: str, joint: str, to: float
+    kitchen: Scene, name: str, joint: str, to: float, stretch: Robot
 ) -> None:
-    robot = load_robot("stretch")
     task = make_task(kitchen, "open", name, joint, to)
     # With the seal of a fridge, the door pulls this robot over.
     kitchen = kitchen.with_resistance({name: {joint: JointResistance(seal_force=4.0)}})
-    prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.01)
+    prepared = prepare(kitchen, stretch, task, CONFIG, clearance=0.01)
     motion, rng = prepared.motion, np.random.default_rng(0)
     middle = motion.waypoints[:, :2].mean(0)
     poses = np.column_stack([middle + rng.uniform(-1, 1, (400, 2)), rng.uniform(-3, 3, 400)])
-    moved, modes = fitted_bases(robot, motion, poses)
+    moved, modes = fitted_bases(stretch, motion, poses)
     met = modes >= 0
     np.testing.assert_array_equal(moved[~met], poses[~met])
     rigid = modes[met] < len(motion.Ts_world_tool)
     assert rigid.all() if joint == "drawer_top_slide" else not rigid.any()
-    paths = find_short_paths(robot, prepared.world, motion, moved[met], modes[met])
+    paths = find_short_paths(stretch, prepared.world, motion, moved[met], modes[met])
     # The others fail by collision or between the fitted waypoints.
     assert sum(path.status in (FOUND, HIT) for path in paths) >= 0.5 * len(paths) > 3
     assert any(path.status == FOUND for path in paths)
@@ -113,19 +105,20 @@ def test_modes_that_the_arm_follows_from_nowhere_are_left_out(
     np.testing.assert_array_equal(moved[found < 0], poses[found < 0])
 
 
-def test_a_base_error_of_millimeters_leaves_the_plan_feasible(kitchen: Scene) -> None:
-    robot = load_robot("stretch")
+def test_a_base_error_of_millimeters_leaves_the_plan_feasible(
+    kitchen: Scene, stretch: Robot
+) -> None:
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
-    reach = load_reach(robot)
-    plan = plan_base_placement(kitchen, robot, task, reach, config=CONFIG).plan
+    reach = load_reach(stretch)
+    plan = plan_base_placement(kitchen, stretch, task, reach, config=CONFIG).plan
     for off in ((0.004, 0.0, 0.006), (-0.003, 0.003, -0.006), (0.0, -0.004, 0.0)):
-        again = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, off), reach)
+        again = check_base_pose(kitchen, stretch, task, np.add(plan.base_pose, off), reach)
         assert again.motion is not None
         # The tool poses match the arm states from there.
         motion = again.motion
-        Ts = pose_planar(np.add(plan.base_pose, off)) @ robot.chain.tool_poses(
-            robot.chain.freedom_values(motion.q)
+        Ts = pose_planar(np.add(plan.base_pose, off)) @ stretch.chain.tool_poses(
+            stretch.chain.freedom_values(motion.q)
         )
         np.testing.assert_allclose(Ts, motion.Ts_world_tool, atol=1e-9)
-    far = check_base_pose(kitchen, robot, task, np.add(plan.base_pose, (0.05, 0, 0.1)), reach)
+    far = check_base_pose(kitchen, stretch, task, np.add(plan.base_pose, (0.05, 0, 0.1)), reach)
     assert far.motion is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -192,7 +191,7 @@ def test_a_gripper_below_the_floor_hits_it(robot: Robot) -> None:
 
 
 def test_a_handle_of_one_centimeter_near_its_carcass_can_be_grasped(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, ranger: Robot
 ) -> None:
     cabinet_room(tmp_path)
     file = tmp_path / "cabinet.urdf"
@@ -204,9 +203,9 @@ def test_a_handle_of_one_centimeter_near_its_carcass_can_be_grasped(
     text = text.replace('size="0.016 0.016 0.2"', 'size="0.016 0.011 0.05"')
     text = text.replace("-0.065 0", "-0.0265 0")
     file.write_text(text)
-    scene, robot = load_scene(tmp_path / "room.json"), robots("ranger_rm63")
+    scene = load_scene(tmp_path / "room.json")
     task = make_task(scene, "open", "cabinet", to=1.2)
-    answer = plan_base_placement(scene, robot, task, Everywhere(), config=PipelineConfig())
+    answer = plan_base_placement(scene, ranger, task, Everywhere(), config=PipelineConfig())
     assert answer.plan.status == "solved", answer.plan.candidates
-    verifier = PlanVerifier(scene, robot, task)
+    verifier = PlanVerifier(scene, ranger, task)
     assert verifier.check(answer.plan.base_pose, answer.plan.motion).valid

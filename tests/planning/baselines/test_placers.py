@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -64,8 +63,8 @@ def placer_room(scene: Scene, robot: Robot, start: np.ndarray = START) -> Placer
 
 
 @pytest.fixture(scope="module")
-def room(tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]) -> PlacerRoom:
-    return placer_room(cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e"))
+def room(tmp_path_factory: pytest.TempPathFactory, segway: Robot) -> PlacerRoom:
+    return placer_room(cabinet_room(tmp_path_factory.mktemp("room")), segway)
 
 
 def proposed(placer: BasePlacer, room: PlacerRoom, *, seed: int = 0) -> Float[np.ndarray, "n 3"]:
@@ -88,14 +87,12 @@ def test_proposals_stand_clear_and_repeat_with_the_seed(room: PlacerRoom, name: 
 
 
 @pytest.mark.parametrize("placer", [habitat, m3, rm4d, behavior, momagen])
-def test_proposals_move_with_the_scene(
-    placer: BasePlacer, robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_proposals_move_with_the_scene(placer: BasePlacer, tmp_path: Path, segway: Robot) -> None:
     shift = np.array([0.5, -0.25, np.pi / 2])
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    moved = placer_room(move_scene(scene, *shift), robot, compose(shift, START[None])[0])
-    here, there = proposed(placer, placer_room(scene, robot)), proposed(placer, moved)
-    front, back = placer_room(scene, robot).handle_frame, moved.handle_frame
+    scene = cabinet_room(tmp_path)
+    moved = placer_room(move_scene(scene, *shift), segway, compose(shift, START[None])[0])
+    here, there = proposed(placer, placer_room(scene, segway)), proposed(placer, moved)
+    front, back = placer_room(scene, segway).handle_frame, moved.handle_frame
     np.testing.assert_allclose(compose(shift, front[None])[0], back, atol=1e-9)
     low, high = local_points(front, here[:, :2]), local_points(back, there[:, :2])
     np.testing.assert_allclose(low.mean(0), high.mean(0), atol=0.15)
@@ -112,15 +109,14 @@ def test_habitat_starts_in_the_middle_of_its_area_and_faces_the_object(room: Pla
 
 
 def test_m3_proposes_the_nearest_navigable_cells_of_a_rigid_target_in_order(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, segway: Robot
 ) -> None:
-    robot = robots("segway_ur5e")
     can = SceneObject.box("can", (0.06, 0.06, 0.12), (0.9, -1.0, 0.80))
     stand = SceneObject.box("stand", (0.5, 0.5, 0.74), (0.9, -1.0, 0.37))
     scene = cabinet_room(tmp_path)
     scene = replace(scene, objects=(*scene.objects, can, stand))
     task = make_task(scene, "pick", "can")
-    prepared = prepare(scene, robot, task, PipelineConfig(), clearance=0.01)
+    prepared = prepare(scene, segway, task, PipelineConfig(), clearance=0.01)
     travel = cost_map(prepared, START).lengths
     room = PlacerRoom(prepared, Everywhere(), travel, START, 24)
     poses = proposed(m3, room)

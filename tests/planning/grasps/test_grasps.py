@@ -10,7 +10,7 @@ import pytest
 from tests.rooms import cabinet_room
 
 from momapos.model.records.families import Family
-from momapos.model.robots.robot import Grip, Robot, load_robot
+from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.joint_resistance import resistance_along
 from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
@@ -71,10 +71,11 @@ def test_the_distance_of_the_pads_is_the_opening(robot: Robot) -> None:
     assert set(hand.side[hand.pad]) == {1, -1}
 
 
-def test_closed_fingers_touch_only_the_handle_and_only_with_their_pads(robot: Robot) -> None:
-    scene = load_scene("kitchen_small")
+def test_closed_fingers_touch_only_the_handle_and_only_with_their_pads(
+    robot: Robot, kitchen: Scene
+) -> None:
     for item, joint in (("fridge", "door_hinge"), ("cabinet_left", "drawer_slide")):
-        model = scene.object(item).model
+        model = kitchen.object(item).model
         handle = find_handle(model, joint, opening_of(model, joint).sign)
         found = grasps_of(robot, model, joint, 1.0, handle, CONFIG)
         assert len(found.code) > 20
@@ -91,8 +92,8 @@ def test_closed_fingers_touch_only_the_handle_and_only_with_their_pads(robot: Ro
             assert min(touched.values()) > -0.01
 
 
-def test_open_fingers_approach_without_contact(robot: Robot) -> None:
-    model = load_scene("kitchen_small").object("microwave").model
+def test_open_fingers_approach_without_contact(robot: Robot, kitchen: Scene) -> None:
+    model = kitchen.object("microwave").model
     handle = find_handle(model, "door_hinge", 1.0)
     found = grasps_of(robot, model, "door_hinge", 1.0, handle, CONFIG)
     for T in found.Ts_part_tool[::5]:
@@ -104,8 +105,10 @@ def test_open_fingers_approach_without_contact(robot: Robot) -> None:
                     assert element.convex.depth(at).max() <= 0.0
 
 
-def test_every_grasp_points_at_the_handle_and_closes_across_it(robot: Robot) -> None:
-    model = load_scene("kitchen_small").object("microwave").model
+def test_every_grasp_points_at_the_handle_and_closes_across_it(
+    robot: Robot, kitchen: Scene
+) -> None:
+    model = kitchen.object("microwave").model
     handle = find_handle(model, "door_hinge", 1.0)
     T = grasps_of(robot, model, "door_hinge", 1.0, handle, CONFIG).Ts_part_tool
     assert len(T) >= 40
@@ -200,10 +203,9 @@ def test_handles_are_classified_by_proportions_and_the_space_behind(
     assert find_handle(scene.object("cabinet").model, "hinge", 1.0).kind is kind
 
 
-def test_a_bar_with_posts_is_grasped_at_the_bar() -> None:
-    scene = load_scene("kitchen_small")
-    for item, joint in openable(scene):
-        model = scene.object(item).model
+def test_a_bar_with_posts_is_grasped_at_the_bar(kitchen: Scene) -> None:
+    for item, joint in openable(kitchen):
+        model = kitchen.object(item).model
         handle = find_handle(model, joint, opening_of(model, joint).sign)
         assert handle.kind is HandleKind.BAR, (item, joint)
         assert handle.depth == pytest.approx(0.02, abs=1e-6)
@@ -323,20 +325,20 @@ def test_the_next_handle_is_grasped_where_the_best_is_obstructed(
     assert held(np.pi / 2) == "door_handle"
 
 
-def test_handles_that_cannot_be_grasped_are_excluded_once(tmp_path: Path) -> None:
+def test_handles_that_cannot_be_grasped_are_excluded_once(tmp_path: Path, fetch: Robot) -> None:
     """The edge of the door is too thick for any gripper, so that a push follows the bar."""
     text = (Path(__file__).parents[3] / "examples" / "cupboard.urdf").read_text()
     path = tmp_path / "cupboard.urdf"
     thick = text.replace('size="0.02 0.59 0.88"', 'size="0.12 0.59 0.88"')
     path.write_text(thick.replace('xyz="-0.05 0.53 0.25"', 'xyz="-0.12 0.53 0.25"'))
     item = SceneObject.from_urdf("cupboard", path, (0.0, 0.0, 0.0), joints={"hinge": 1.2})
-    scene, robot = Scene("room", (item,)), load_robot("fetch")
-    motion = task_motion(scene, robot, make_task(scene, "close", "cupboard"), MotionConfig())
+    scene = Scene("room", (item,))
+    motion = task_motion(scene, fetch, make_task(scene, "close", "cupboard"), MotionConfig())
     excluded: list[Handle] = []
     other: TaskMotion | None = motion
     for _ in range(10):
         if other is None:
             return
         excluded += other.grasps.handles
-        other = with_other_handle(motion, scene, robot, MotionConfig(), excluded)
+        other = with_other_handle(motion, scene, fetch, MotionConfig(), excluded)
     raise AssertionError("the same handles are excluded repeatedly")

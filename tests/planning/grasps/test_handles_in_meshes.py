@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -154,10 +153,10 @@ def test_a_bow_that_is_a_mesh_of_its_own_is_a_bar(tmp_path: Path, shape: str, na
 
 @pytest.mark.parametrize("shape", BOWS)
 def test_a_finger_goes_behind_a_bow_that_is_a_mesh_of_its_own(
-    robots: Callable[[str], Robot], tmp_path: Path, shape: str
+    tmp_path: Path, shape: str, husky: Robot
 ) -> None:
     model = panel_with(tmp_path, BOWS[shape])
-    robot = opened_to(robots("husky_ur5e"), 0.032)
+    robot = opened_to(husky, 0.032)
     (bow, *_) = handles_in_turn(model, "j", 1.0)
     grasps = grasps_of(robot, model, "j", 1.0, bow, CONFIG)
     assert not grasps.reason

@@ -11,9 +11,8 @@ import pytest
 from momapos.core.errors import InputError
 from momapos.core.geometry import invert
 from momapos.model.records.plans import Task
-from momapos.model.robots.robot import Grip, Robot, load_robot
+from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.answer_notes import notes_on
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
@@ -27,21 +26,11 @@ QUICK = PipelineConfig(place=PlaceConfig(count=256, polish=1), timeout=300.0)
 NONE = np.zeros((0, 4, 4))
 
 
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
 @pytest.fixture(scope="module", params=["part", "object"])
-def task(request: pytest.FixtureRequest, scene: Scene) -> Task:
+def task(request: pytest.FixtureRequest, kitchen: Scene) -> Task:
     if request.param == "part":
-        return make_task(scene, "open", "fridge", "door_hinge")
-    return make_task(scene, "pick", "cup")
+        return make_task(kitchen, "open", "fridge", "door_hinge")
+    return make_task(kitchen, "pick", "cup")
 
 
 def in_link(scene: Scene, motion: TaskMotion) -> np.ndarray:
@@ -65,21 +54,21 @@ def rotations(Ts: np.ndarray) -> set[bytes]:
 
 
 def test_own_grasps_are_added_and_found_by_their_turn(
-    scene: Scene, robot: Robot, task: Task
+    kitchen: Scene, segway: Robot, task: Task
 ) -> None:
-    usual = task_motion(scene, robot, task, MotionConfig())
-    own = rolled(in_link(scene, usual), robot, np.radians(4.0))
-    motion = task_motion(scene, robot.with_grasps(lambda *_: own), task, MotionConfig())
-    found = rotations(in_link(scene, motion))
-    assert found >= rotations(in_link(scene, usual))
+    usual = task_motion(kitchen, segway, task, MotionConfig())
+    own = rolled(in_link(kitchen, usual), segway, np.radians(4.0))
+    motion = task_motion(kitchen, segway.with_grasps(lambda *_: own), task, MotionConfig())
+    found = rotations(in_link(kitchen, motion))
+    assert found >= rotations(in_link(kitchen, usual))
     assert len(found & rotations(own)) > 5
     need, capacity = motion.grasps.need, motion.grasps.capacity
     assert (capacity >= need).all()
 
 
-def test_an_answer_may_hold_by_own_grasps_only(scene: Scene, robot: Robot, task: Task) -> None:
-    usual = task_motion(scene, robot, task, MotionConfig())
-    own = rolled(in_link(scene, usual), robot, np.radians(4.0))
+def test_an_answer_may_hold_by_own_grasps_only(kitchen: Scene, segway: Robot, task: Task) -> None:
+    usual = task_motion(kitchen, segway, task, MotionConfig())
+    own = rolled(in_link(kitchen, usual), segway, np.radians(4.0))
     requests: list[tuple[str, str | None]] = []
 
     def source(name: str, joint: str | None) -> np.ndarray:
@@ -88,39 +77,40 @@ def test_an_answer_may_hold_by_own_grasps_only(scene: Scene, robot: Robot, task:
 
     def is_own(motion: TaskMotion) -> np.ndarray:
         mine = rotations(own)
-        return np.array([bool(rotations(T[None]) & mine) for T in in_link(scene, motion)], bool)
+        return np.array([bool(rotations(T[None]) & mine) for T in in_link(kitchen, motion)], bool)
 
     answer = plan_base_placement(
-        scene, robot.with_grasps(source), task, keep_grasps=is_own, config=QUICK
+        kitchen, segway.with_grasps(source), task, keep_grasps=is_own, config=QUICK
     )
     assert answer.plan.status == "solved"
     assert requests == [(task.object, task.joint)]
 
 
 def test_what_cannot_be_used_changes_nothing_and_is_stated(
-    scene: Scene, robot: Robot, task: Task
+    kitchen: Scene, segway: Robot, task: Task
 ) -> None:
-    usual = task_motion(scene, robot, task, MotionConfig())
-    far = in_link(scene, usual)[:3]
+    usual = task_motion(kitchen, segway, task, MotionConfig())
+    far = in_link(kitchen, usual)[:3]
     far[:, :3, 3] += 5.0
-    with_far = robot.with_grasps(lambda *_: far)
-    motion = task_motion(scene, with_far, task, MotionConfig())
+    with_far = segway.with_grasps(lambda *_: far)
+    motion = task_motion(kitchen, with_far, task, MotionConfig())
     np.testing.assert_array_equal(usual.Ts_world_tool, motion.Ts_world_tool)
-    answer = plan_base_placement(scene, with_far, task, config=QUICK)
+    answer = plan_base_placement(kitchen, with_far, task, config=QUICK)
     notes = notes_on(answer.plan, answer.prepared)
     assert any(note.startswith("0 of 3 grasps of your own can be used") for note in notes)
-    without = plan_base_placement(scene, with_far.with_grasps(lambda *_: NONE), task, config=QUICK)
+    without = plan_base_placement(
+        kitchen, with_far.with_grasps(lambda *_: NONE), task, config=QUICK
+    )
     assert not any("of your own" in note for note in notes_on(without.plan, without.prepared))
     assert without.plan.base_pose == answer.plan.base_pose
 
 
-def test_a_hand_that_does_not_close_uses_no_own_grasps(scene: Scene) -> None:
-    plain = load_robot("segway_ur5e")
-    hook = replace(plain, grips=Grip.HOOK)
-    task = make_task(scene, "open", "fridge", "door_hinge")
-    usual = task_motion(scene, hook, task, MotionConfig())
-    own = in_link(scene, task_motion(scene, plain, task, MotionConfig()))
-    motion = task_motion(scene, hook.with_grasps(lambda *_: own), task, MotionConfig())
+def test_a_hand_that_does_not_close_uses_no_own_grasps(kitchen: Scene, segway: Robot) -> None:
+    hook = replace(segway, grips=Grip.HOOK)
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    usual = task_motion(kitchen, hook, task, MotionConfig())
+    own = in_link(kitchen, task_motion(kitchen, segway, task, MotionConfig()))
+    motion = task_motion(kitchen, hook.with_grasps(lambda *_: own), task, MotionConfig())
     np.testing.assert_array_equal(usual.Ts_world_tool, motion.Ts_world_tool)
 
 
@@ -137,8 +127,8 @@ def test_a_hand_that_does_not_close_uses_no_own_grasps(scene: Scene) -> None:
     ],
 )
 def test_a_source_that_returns_no_poses_is_named(
-    scene: Scene, robot: Robot, wrong: Any, words: str
+    kitchen: Scene, segway: Robot, wrong: Any, words: str
 ) -> None:
-    task = make_task(scene, "open", "fridge", "door_hinge")
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
     with pytest.raises(InputError, match=f"the grasps of your own for fridge/door_hinge.*{words}"):
-        plan_base_placement(scene, robot.with_grasps(lambda *_: wrong), task)
+        plan_base_placement(kitchen, segway.with_grasps(lambda *_: wrong), task)

@@ -20,7 +20,11 @@ from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.part_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity
+from momapos.planning.grasps.part_grasps import (
+    HELD_CLEARANCE_SHARE,
+    Contact,
+    lifting_capacity,
+)
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -126,7 +130,11 @@ def test_an_offset_of_the_center_of_mass_reduces_the_payload() -> None:
     ("name", "config", "words"),
     [
         ("table", GraspConfig(), "cm wide, and the gripper of"),
-        ("cup", GraspConfig(resistance=ResistanceConfig(density=1e5)), "N of it at most, and"),
+        (
+            "cup",
+            GraspConfig(resistance=ResistanceConfig(density=1e5)),
+            "N of it at most, and",
+        ),
         ("cup", GraspConfig(pad_contact=50.0), "touch too little"),
     ],
 )

@@ -10,9 +10,8 @@ import pytest
 
 from momapos.model.records.families import FAMILIES, Family
 from momapos.model.records.plans import JointResistance, Motion
-from momapos.model.robots.robot import Grip, Robot, load_robot
+from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.urdf_records import Geometry
 from momapos.planning.config import PipelineConfig
@@ -31,13 +30,8 @@ BASE = np.array([0.300476, -1.502722, -3.024759])
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return replace(load_robot("segway_ur5e"), grips=Grip.HOOK)
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
+def robot(segway: Robot) -> Robot:
+    return replace(segway, grips=Grip.HOOK)
 
 
 def ready(scene: Scene, robot: Robot, item: str, config: PipelineConfig = CONFIG) -> PreparedTask:
@@ -66,8 +60,7 @@ def opened(hook: SlidingHook, robot: Robot, tmp_path_factory: pytest.TempPathFac
     scores = hook.mode_scorers[0](reach, BASE[None]).scores
     screened = hook.screen(BASE[None], scores, None)
     modes = np.flatnonzero(scores[0] > 0)
-    motion = hook(BASE, screened[0], modes).motion
-    return motion
+    return hook(BASE, screened[0], modes).motion
 
 
 def members(motion: SlidingMotion, group: int) -> np.ndarray:
@@ -235,7 +228,7 @@ def with_crossbar(kitchen: Scene, motion: SlidingMotion) -> Scene:
     return replace(kitchen, objects=others)
 
 
-def test_hands_that_pinch_do_not_slide(kitchen: Scene) -> None:
-    prepared = ready(kitchen, load_robot("segway_ur5e"), "fridge")
+def test_hands_that_pinch_do_not_slide(kitchen: Scene, segway: Robot) -> None:
+    prepared = ready(kitchen, segway, "fridge")
     assert (prepared.motion.grasps.code == FAMILIES.index(Family.PINCH)).all()
     assert not slides_of(prepared)

@@ -13,6 +13,7 @@ from tests.rooms import cabinet_room
 from momapos.core.errors import InputError, TaskError, UnknownNameError
 from momapos.model.robots.load_limits import touches
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.articulated import opening_of
 from momapos.planning.arm_motion.payload import payload_hits_at_home, with_payload
@@ -24,17 +25,15 @@ from momapos.planning.grasps.task_requests import make_task, openable
 KITCHENS = ("kitchen_small", "kitchen_island")
 
 
-def test_doors_open_a_quarter_turn_and_drawers_completely_by_default() -> None:
-    scene = load_scene("kitchen_small")
-    assert make_task(scene, "open", "microwave").to == pytest.approx(np.pi / 2)
-    drawer = scene.object("cabinet_left").model.joint("drawer_slide")
-    assert make_task(scene, "open", "cabinet_left", "drawer_slide").to == drawer.upper
+def test_doors_open_a_quarter_turn_and_drawers_completely_by_default(kitchen: Scene) -> None:
+    assert make_task(kitchen, "open", "microwave").to == pytest.approx(np.pi / 2)
+    drawer = kitchen.object("cabinet_left").model.joint("drawer_slide")
+    assert make_task(kitchen, "open", "cabinet_left", "drawer_slide").to == drawer.upper
 
 
-def test_closing_returns_to_the_closed_value() -> None:
-    scene = load_scene("kitchen_small")
-    opened = make_task(scene, "open", "microwave")
-    ajar = scene.with_joint("microwave", opened.joint, opened.to)
+def test_closing_returns_to_the_closed_value(kitchen: Scene) -> None:
+    opened = make_task(kitchen, "open", "microwave")
+    ajar = kitchen.with_joint("microwave", opened.joint, opened.to)
     assert make_task(ajar, "close", "microwave").to == 0.0
 
 
@@ -54,16 +53,16 @@ def test_closing_returns_to_the_closed_value() -> None:
     ],
 )
 def test_an_invalid_request_is_refused_in_one_line(
-    verb: str, target: str, joint: str | None, to: float | str | None, words: str
+    verb: str, target: str, joint: str | None, to: float | str | None, words: str, kitchen: Scene
 ) -> None:
     with pytest.raises(TaskError, match=words) as caught:
-        make_task(load_scene("kitchen_small"), verb, target, joint, to)
+        make_task(kitchen, verb, target, joint, to)
     assert "\n" not in str(caught.value)
 
 
-def test_a_value_that_is_no_number_is_refused() -> None:
+def test_a_value_that_is_no_number_is_refused(kitchen: Scene) -> None:
     with pytest.raises(InputError, match="to must be a finite number"):
-        make_task(load_scene("kitchen_small"), "open", "microwave", "door_hinge", float("nan"))
+        make_task(kitchen, "open", "microwave", "door_hinge", float("nan"))
 
 
 @pytest.mark.parametrize("kind", ["continuous", "prismatic"])
@@ -89,12 +88,11 @@ def test_a_wrong_joint_error_names_the_object_not_its_model(tmp_path: Path) -> N
         make_task(room, "open", "elementE", "dor", None)
 
 
-def test_a_wrong_name_error_suggests_the_nearest() -> None:
-    scene = load_scene("kitchen_small")
+def test_a_wrong_name_error_suggests_the_nearest(kitchen: Scene) -> None:
     with pytest.raises(UnknownNameError, match="did you mean microwave"):
-        make_task(scene, "open", "micowave")
+        make_task(kitchen, "open", "micowave")
     with pytest.raises(UnknownNameError, match="door_hinge"):
-        make_task(scene, "open", "fridge", "dor_hinge")
+        make_task(kitchen, "open", "fridge", "dor_hinge")
 
 
 @pytest.mark.parametrize("name", KITCHENS)
@@ -161,10 +159,10 @@ def test_the_straight_approach_moves_along_the_approach_axis(robot: Robot, tmp_p
     ],
 )
 def test_a_value_in_a_wrong_unit_is_refused_with_a_suggestion(
-    target: str, joint: str, to: float | str, words: str
+    target: str, joint: str, to: float | str, words: str, kitchen: Scene
 ) -> None:
     with pytest.raises(TaskError, match=re.escape(words)) as caught:
-        make_task(load_scene("kitchen_small"), "open", target, joint, to)
+        make_task(kitchen, "open", target, joint, to)
     assert "\n" not in str(caught.value)
 
 
@@ -254,23 +252,25 @@ def test_the_error_for_an_ambiguous_joint_lists_knobs_separately(tmp_path: Path)
 
 
 @pytest.mark.parametrize("verb", ["pick", "place"])
-def test_a_robot_without_a_gripper_cannot_pick_or_place(verb: str, robot: Robot) -> None:
-    scene = load_scene("kitchen_small")
-    task = make_task(scene, verb, "cup")
+def test_a_robot_without_a_gripper_cannot_pick_or_place(
+    verb: str, robot: Robot, kitchen: Scene
+) -> None:
+    task = make_task(kitchen, verb, "cup")
     assert robot.has_gripper
-    assert len(task_motion(scene, robot, task, MotionConfig()).Ts_world_tool)
+    assert len(task_motion(kitchen, robot, task, MotionConfig()).Ts_world_tool)
     last = robot.model.joint(robot.arm_joints[-1]).child
     bare = replace(robot, gripper_links=(last,))
     assert not bare.has_gripper
     with pytest.raises(TaskError, match="has no gripper, so it cannot"):
-        task_motion(scene, bare, task, MotionConfig())
+        task_motion(kitchen, bare, task, MotionConfig())
 
 
 @pytest.mark.parametrize("name", ["cup", "cereal_box"])
-def test_grasps_whose_payload_touches_the_robot_at_home_are_found(robot: Robot, name: str) -> None:
+def test_grasps_whose_payload_touches_the_robot_at_home_are_found(
+    robot: Robot, name: str, kitchen: Scene
+) -> None:
     """A placed object starts with the arm at home."""
-    scene = load_scene("kitchen_small")
-    motion = task_motion(scene, robot, make_task(scene, "place", name), MotionConfig())
+    motion = task_motion(kitchen, robot, make_task(kitchen, "place", name), MotionConfig())
     touched = payload_hits_at_home(robot, motion)
     for g in range(0, len(touched), 7):
         spheres = with_payload(robot, motion, motion.Ts_world_tool[g, 0], 0)

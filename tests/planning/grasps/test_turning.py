@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import invert, rotation_about, rotation_angle
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.planning.config import PipelineConfig
@@ -26,11 +25,6 @@ from momapos.planning.task_setup import PreparedTask, prepare
 CONFIG = PipelineConfig()
 BASE = np.array([0.458, -1.39, 2.532])
 """From here no rigid grasp opens the fridge completely."""
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
 
 
 def with_round_bars(item: SceneObject) -> SceneObject:
@@ -48,12 +42,11 @@ def with_round_bars(item: SceneObject) -> SceneObject:
 
 
 @pytest.fixture(scope="module")
-def fridge(robot: Robot) -> PreparedTask:
-    scene = load_scene("kitchen_small")
-    objects = [with_round_bars(o) if o.name == "fridge" else o for o in scene.objects]
-    scene = replace(scene, objects=tuple(objects))
+def fridge(segway: Robot, kitchen: Scene) -> PreparedTask:
+    objects = [with_round_bars(o) if o.name == "fridge" else o for o in kitchen.objects]
+    scene = replace(kitchen, objects=tuple(objects))
     task = make_task(scene, "open", "fridge", "door_hinge")
-    return prepare(scene, robot, task, CONFIG, clearance=0.0)
+    return prepare(scene, segway, task, CONFIG, clearance=0.0)
 
 
 def in_part(motion: TaskMotion, Ts: np.ndarray) -> np.ndarray:
@@ -116,9 +109,9 @@ def test_groups_lose_dropped_grasps(fridge: PreparedTask) -> None:
 
 
 def test_a_turning_hand_opens_the_door_where_a_rigid_one_cannot(
-    fridge: PreparedTask, robot: Robot, tmp_path: Path
+    fridge: PreparedTask, segway: Robot, tmp_path: Path
 ) -> None:
-    reach = load_reach_map(robot, tmp_path)
+    reach = load_reach_map(segway, tmp_path)
     feasible = fridge.feasibility(CONFIG, seed=0)
     poses = BASE[None]
     rigid = feasible.screen(poses, fridge.mode_scorers[0](reach, poses).scores, None)
@@ -150,8 +143,8 @@ def knob_drawer(folder: Path, shape: str) -> Scene:
 ROUND_KNOB = '<cylinder radius="0.015" length="0.02"/>'
 
 
-def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path) -> None:
-    scene, stretch = knob_drawer(tmp_path, ROUND_KNOB), load_robot("stretch")
+def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path, stretch: Robot) -> None:
+    scene = knob_drawer(tmp_path, ROUND_KNOB)
     task = make_task(scene, "open", "drawer")
     plan = plan_base_placement(scene, stretch, task).plan
     assert plan.status == "solved"
@@ -161,13 +154,12 @@ def test_a_short_arm_turns_about_a_round_knob(tmp_path: Path) -> None:
 
 
 def test_only_short_arms_turn_about_knobs_and_only_about_round_ones(
-    robot: Robot, tmp_path: Path
+    segway: Robot, tmp_path: Path, stretch: Robot
 ) -> None:
-    stretch = load_robot("stretch")
     for name, shape, arm, turns in (
         ("round", ROUND_KNOB, stretch, True),
         ("square", '<box size="0.03 0.03 0.02"/>', stretch, False),
-        ("full", ROUND_KNOB, robot, False),
+        ("full", ROUND_KNOB, segway, False),
     ):
         (tmp_path / name).mkdir()
         scene = knob_drawer(tmp_path / name, shape)
@@ -177,8 +169,10 @@ def test_only_short_arms_turn_about_knobs_and_only_about_round_ones(
         assert bool(len(motion.turning.groups)) is turns, name
 
 
-def test_grasps_of_one_knob_group_differ_by_a_turn_about_its_axis(tmp_path: Path) -> None:
-    scene, stretch = knob_drawer(tmp_path, ROUND_KNOB), load_robot("stretch")
+def test_grasps_of_one_knob_group_differ_by_a_turn_about_its_axis(
+    tmp_path: Path, stretch: Robot
+) -> None:
+    scene = knob_drawer(tmp_path, ROUND_KNOB)
     motion = task_motion(scene, stretch, make_task(scene, "open", "drawer"), MotionConfig())
     turning = motion.turning
     np.testing.assert_allclose(turning.axis, [-1, 0, 0], atol=1e-6)

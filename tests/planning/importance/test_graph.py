@@ -208,8 +208,8 @@ def test_two_objects_have_at_most_one_relation() -> None:
         assert (graph.child != graph.parent).all()
 
 
-def test_built_in_kitchens_have_the_visible_relations() -> None:
-    found = hierarchy(load_scene("kitchen_small"))
+def test_built_in_kitchens_have_the_visible_relations(kitchen: Scene) -> None:
+    found = hierarchy(kitchen)
     assert found == {
         ("counter", "on", "cabinet_left"), ("counter", "on", "dishwasher"),
         ("counter", "on", "cabinet_right"), ("microwave", "on", "counter"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,8 +53,8 @@ def plan_with(
     return plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
 
 
-def test_lowering_alpha_ends_with_all_objects_and_never_drops_one() -> None:
-    ranked = rank(load_scene("kitchen_small"), "fridge")
+def test_lowering_alpha_ends_with_all_objects_and_never_drops_one(kitchen: Scene) -> None:
+    ranked = rank(kitchen, "fridge")
     selection, sizes = Selection(ranked, 1.0), []
     while selection.boxes:
         before, selection = set(selection.names), selection.relax_alpha()
@@ -66,24 +65,22 @@ def test_lowering_alpha_ends_with_all_objects_and_never_drops_one() -> None:
     assert everything(ranked).names == ranked.names
 
 
-def test_an_added_object_stays_regardless_of_its_score() -> None:
-    ranked = rank(load_scene("kitchen_small"), "fridge")
+def test_an_added_object_stays_regardless_of_its_score(kitchen: Scene) -> None:
+    ranked = rank(kitchen, "fridge")
     selection = Selection(ranked, 1.0).join(["cup"])
     assert set(selection.names) == {"fridge", "cup"}
     assert "cup" not in selection.boxes
     assert "cup" in selection.relax_alpha().names
 
 
-def test_an_object_whose_box_blocks_the_task_is_modeled(
-    tmp_path: Path, robots: Callable[[str], Robot]
-) -> None:
+def test_an_object_whose_box_blocks_the_task_is_modeled(tmp_path: Path, segway: Robot) -> None:
     """The robot fits between four posts, but not into the box around them."""
-    scene, robot = porch_room(tmp_path), robots("segway_ur5e")
+    scene = porch_room(tmp_path)
     assert (
-        plan_with(scene.with_box_proxies({"cabinet"}), robot, "cabinet", 0.0).plan.status
+        plan_with(scene.with_box_proxies({"cabinet"}), segway, "cabinet", 0.0).plan.status
         == "infeasible"
     )
-    answer = plan_with(scene, robot, "cabinet", 1.0)
+    answer = plan_with(scene, segway, "cabinet", 1.0)
     assert answer.plan.status == "solved"
     assert set(answer.plan.key_objects.names) == {"cabinet", "porch"}
 
@@ -91,27 +88,25 @@ def test_an_object_whose_box_blocks_the_task_is_modeled(
 @pytest.mark.parametrize("scorer", ["deepwalk", "distance", "size"])
 @pytest.mark.parametrize("target", ["fridge/door_hinge", "microwave"])
 def test_a_plan_among_boxes_is_valid_among_the_objects(
-    robots: Callable[[str], Robot], scorer: str, target: str
+    scorer: str, target: str, kitchen: Scene, segway: Robot
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    answer = plan_with(scene, robot, target, 1.0, scorer)
+    answer = plan_with(kitchen, segway, target, 1.0, scorer)
     plan, key = answer.plan, answer.plan.key_objects
     assert plan.status == "solved"
     assert (
-        PlanVerifier(scene, robot, plan.task).first_violation(plan.base_pose, plan.motion) is None
+        PlanVerifier(kitchen, segway, plan.task).first_violation(plan.base_pose, plan.motion)
+        is None
     )
     assert plan.task.object in key.names
-    assert len(key.names) < len(scene.objects)
-    assert set(key.scores) == {item.name for item in scene.objects}
+    assert len(key.names) < len(kitchen.objects)
+    assert set(key.scores) == {item.name for item in kitchen.objects}
 
 
 def test_an_object_near_the_plan_is_added_and_the_plan_is_checked_again(
-    robots: Callable[[str], Robot],
+    kitchen: Scene, segway: Robot
 ) -> None:
     """The counter below the microwave scores less than 1 by walks; the hand passes over it."""
-    key = plan_with(
-        load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 1.0, "deepwalk"
-    )
+    key = plan_with(kitchen, segway, "microwave", 1.0, "deepwalk")
     joined = key.plan.key_objects
     assert joined.rounds > 0
     assert {"microwave", "counter"} <= set(joined.names)
@@ -119,9 +114,9 @@ def test_an_object_near_the_plan_is_added_and_the_plan_is_checked_again(
 
 
 def test_the_plan_file_lists_the_modeled_objects(
-    tmp_path: Path, robots: Callable[[str], Robot]
+    tmp_path: Path, kitchen: Scene, segway: Robot
 ) -> None:
-    answer = plan_with(load_scene("kitchen_small"), robots("segway_ur5e"), "microwave", 0.9)
+    answer = plan_with(kitchen, segway, "microwave", 0.9)
     write_plan(answer.plan, tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json").key_objects == answer.plan.key_objects
 

@@ -20,7 +20,7 @@ from tests.shapes import unchecked
 import momapos
 from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, UnknownNameError
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
@@ -67,8 +67,8 @@ def test_scores_are_in_0_to_1_and_the_target_comes_first_with_1(scorer: str, kit
         assert sorted(found.names) == sorted(o.name for o in scene.objects)
 
 
-def test_s_grows_as_alpha_falls_and_contains_all_objects_at_zero() -> None:
-    found = rank(load_scene("kitchen_small"), "fridge", WALKS)
+def test_s_grows_as_alpha_falls_and_contains_all_objects_at_zero(kitchen: Scene) -> None:
+    found = rank(kitchen, "fridge", WALKS)
     sets = [set(found.selected(alpha)) for alpha in (1.0, 0.7, 0.45, 0.2, 0.0)]
     assert all(a <= b for a, b in itertools.pairwise(sets))
     assert "fridge" in sets[0]
@@ -76,9 +76,10 @@ def test_s_grows_as_alpha_falls_and_contains_all_objects_at_zero() -> None:
     assert found.selected() == found.selected(found.alpha)
 
 
-def test_with_exceed_a_score_equal_to_alpha_is_not_in_s_but_the_target_always_is() -> None:
-    scene = load_scene("kitchen_small")
-    reaches, exceeds = (rank(scene, "fridge", replace(WALKS, exceed=e)) for e in (False, True))
+def test_with_exceed_a_score_equal_to_alpha_is_not_in_s_but_the_target_always_is(
+    kitchen: Scene,
+) -> None:
+    reaches, exceeds = (rank(kitchen, "fridge", replace(WALKS, exceed=e)) for e in (False, True))
     alpha = float(reaches.scores[3])
     equal = set(np.array(reaches.names)[reaches.scores == alpha])
     assert set(reaches.selected(alpha)) - set(exceeds.selected(alpha)) == equal
@@ -91,9 +92,8 @@ def test_with_exceed_a_score_equal_to_alpha_is_not_in_s_but_the_target_always_is
         selection = lower
 
 
-def test_with_edges_of_support_the_graph_has_the_paper_s_relations_only() -> None:
-    scene = load_scene("kitchen_small")
-    found = rank(scene, "fridge", replace(WALKS, graph=GraphConfig(edges="support")))
+def test_with_edges_of_support_the_graph_has_the_paper_s_relations_only(kitchen: Scene) -> None:
+    found = rank(kitchen, "fridge", replace(WALKS, graph=GraphConfig(edges="support")))
     assert {KINDS[kind] for kind in found.graph.kind} <= {"on", "in", "inside"}
     assert found.names[0] == "fridge"
     assert (found.scores > 0).all()
@@ -105,9 +105,8 @@ def test_every_object_is_in_s_for_some_alpha_above_zero() -> None:
     assert set(found.selected(MIN_SCORE)) == set(found.names)
 
 
-def test_the_same_seed_gives_the_same_scores_and_another_seed_others() -> None:
-    scene = load_scene("kitchen_small")
-    a, b, c = (rank(scene, "fridge", WALKS, seed=seed) for seed in (5, 5, 6))
+def test_the_same_seed_gives_the_same_scores_and_another_seed_others(kitchen: Scene) -> None:
+    a, b, c = (rank(kitchen, "fridge", WALKS, seed=seed) for seed in (5, 5, 6))
     assert a.names == b.names
     assert np.array_equal(a.scores, b.scores)
     assert not np.array_equal(a.scores, c.scores)
@@ -131,18 +130,16 @@ def test_scores_depend_neither_on_the_hash_seed_nor_on_the_processor() -> None:
     assert scores(PYTHONHASHSEED="2", OPENBLAS_CORETYPE="Nehalem") == here
 
 
-def test_moving_and_turning_the_whole_scene_does_not_change_s() -> None:
-    scene = load_scene("kitchen_small")
+def test_moving_and_turning_the_whole_scene_does_not_change_s(kitchen: Scene) -> None:
     for scorer in SCORERS:
         config = ImportanceConfig(scorer=scorer)
-        moved = rank(move_scene(scene, 3.0, -2.0, 0.7), "fridge", config)
-        assert set(moved.selected()) == set(rank(scene, "fridge", config).selected())
+        moved = rank(move_scene(kitchen, 3.0, -2.0, 0.7), "fridge", config)
+        assert set(moved.selected()) == set(rank(kitchen, "fridge", config).selected())
 
 
-def test_noise_between_seeds_is_small_relative_to_the_spread_of_scores() -> None:
-    scene = load_scene("kitchen_small")
-    runs = [rank(scene, "fridge", WALKS, seed=seed) for seed in range(5)]
-    scores = np.array([[run.score(item.name) for item in scene.objects] for run in runs])
+def test_noise_between_seeds_is_small_relative_to_the_spread_of_scores(kitchen: Scene) -> None:
+    runs = [rank(kitchen, "fridge", WALKS, seed=seed) for seed in range(5)]
+    scores = np.array([[run.score(item.name) for item in kitchen.objects] for run in runs])
     assert scores.std(axis=0).mean() < 0.05 < scores.mean(axis=0).std()
 
 
@@ -190,8 +187,8 @@ def test_no_random_scene_gives_a_nan(count: int, seed: int, k0: float) -> None:
     assert found.scores[0] == 1.0
 
 
-def test_relations_are_from_the_object_to_the_target() -> None:
-    found = rank(load_scene("kitchen_small"), "counter", WALKS)
+def test_relations_are_from_the_object_to_the_target(kitchen: Scene) -> None:
+    found = rank(kitchen, "counter", WALKS)
     relations = dict(zip(found.names, found.relations, strict=True))
     assert relations["microwave"] == "on"
     assert relations["cabinet_left"] == "carries"
@@ -201,12 +198,14 @@ def test_relations_are_from_the_object_to_the_target() -> None:
 
 @pytest.mark.parametrize("name", ["alpha", "k0"])
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan"), float("inf")])
-def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(name: str, value: float) -> None:
+def test_alpha_and_k0_outside_zero_to_one_are_refused_in_one_line(
+    name: str, value: float, kitchen: Scene
+) -> None:
     wrong = rf"^ImportanceConfig.{name} must be (from 0 to 1|a number), not .*$"
     with pytest.raises(InputError, match=wrong):
         ImportanceConfig(**{name: value})
     with pytest.raises(InputError):
-        rank(load_scene("kitchen_small"), "fridge", WALKS).selected(2.0)
+        rank(kitchen, "fridge", WALKS).selected(2.0)
 
 
 @pytest.mark.parametrize(
@@ -217,13 +216,12 @@ def test_invalid_counts_and_scorers_are_refused(wrong: dict[str, object]) -> Non
         ImportanceConfig(**wrong)  # type: ignore[arg-type]
 
 
-def test_unknown_objects_and_invalid_seeds_are_refused() -> None:
-    scene = load_scene("kitchen_small")
+def test_unknown_objects_and_invalid_seeds_are_refused(kitchen: Scene) -> None:
     with pytest.raises(UnknownNameError, match="did you mean fridge"):
-        rank(scene, "fridg")
+        rank(kitchen, "fridg")
     for seed in (-1, 2**32):
         with pytest.raises(InputError, match="seed"):
-            rank(scene, "fridge", seed=seed)
+            rank(kitchen, "fridge", seed=seed)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=2, max_size=9))
@@ -240,13 +238,14 @@ def test_words_of_a_name_are_lower_case_without_digits() -> None:
     assert words("42", "") == ("42",)
 
 
-def test_the_names_scorer_does_not_depend_on_positions() -> None:
-    scene = load_scene("kitchen_small")
-    cup = scene.object("cup")
+def test_the_names_scorer_does_not_depend_on_positions(kitchen: Scene) -> None:
+    cup = kitchen.object("cup")
     away = replace(cup, T_world_object=cup.T_world_object + np.diag([1.0, 1.0, 1.0], 1))
-    other = replace(scene, objects=tuple(away if o is cup else o for o in scene.objects))
+    other = replace(kitchen, objects=tuple(away if o is cup else o for o in kitchen.objects))
     config = ImportanceConfig(scorer="names")
-    assert rank(other, "fridge", config).score("cup") == rank(scene, "fridge", config).score("cup")
+    assert rank(other, "fridge", config).score("cup") == rank(kitchen, "fridge", config).score(
+        "cup"
+    )
 
 
 def test_an_object_matters_more_the_larger_and_the_nearer_to_the_hand_s_path_it_is() -> None:
@@ -286,9 +285,8 @@ def test_python_and_the_command_line_give_the_same_scores(
     assert momapos.rank(load_scene(name), target, config, joint=joint).by_name == printed
 
 
-def test_the_scores_of_the_planner_are_those_of_its_task() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+def test_the_scores_of_the_planner_are_those_of_its_task(kitchen: Scene, segway: Robot) -> None:
     key = plan_base_placement(
-        scene, robot, make_task(scene, "open", "fridge/door_hinge")
+        kitchen, segway, make_task(kitchen, "open", "fridge/door_hinge")
     ).plan.key_objects
-    assert dict(key.scores) == rank(scene, "fridge", joint="door_hinge").by_name
+    assert dict(key.scores) == rank(kitchen, "fridge", joint="door_hinge").by_name

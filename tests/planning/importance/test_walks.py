@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.planning.importance.things import box, room
 
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.importance.config import GraphConfig
 from momapos.planning.importance.scene_graph import SceneGraph, build_graph
@@ -45,8 +46,10 @@ def test_probabilities_sum_to_one_over_undirected_edges(seed: int, k0: float) ->
 
 
 @pytest.mark.parametrize("printed", [True, False])
-def test_probabilities_follow_the_formula_of_the_paper_as_printed_or_scaled(printed: bool) -> None:
-    graph, k0 = build_graph(load_scene("kitchen_small")), 0.3
+def test_probabilities_follow_the_formula_of_the_paper_as_printed_or_scaled(
+    printed: bool, kitchen: Scene
+) -> None:
+    graph, k0 = build_graph(kitchen), 0.3
     P = transitions(graph, k0=k0, printed=printed).dense()
     n = len(graph)
     w = np.zeros((n, n))
@@ -96,8 +99,8 @@ def test_changing_the_unit_of_length_changes_no_probability() -> None:
     )
 
 
-def test_steps_of_the_kernel_are_as_frequent_as_their_probabilities() -> None:
-    graph = build_graph(load_scene("kitchen_small"))
+def test_steps_of_the_kernel_are_as_frequent_as_their_probabilities(kitchen: Scene) -> None:
+    graph = build_graph(kitchen)
     steps, n = transitions(graph, k0=0.5), len(graph)
     walks = walk(steps, np.tile(np.arange(n), 1000), 20, np.random.default_rng(0))
     pairs = np.bincount((walks[:, :-1] * n + walks[:, 1:]).ravel(), minlength=n * n).reshape(n, n)

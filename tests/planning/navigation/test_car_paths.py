@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -181,17 +180,18 @@ def test_the_judge_knows_what_the_wheels_cannot_do() -> None:
     assert impossible_motion("omni", 0.0, moved((0.1, 0.5, 1.0))) == ""
 
 
-def test_an_omni_base_keeps_its_speed_in_every_direction(robots: Callable[[str], Robot]) -> None:
-    robot = robots("ranger_rm63")
-    assert robot.drive == "omni"
+def test_an_omni_base_keeps_its_speed_in_every_direction(ranger: Robot) -> None:
+    assert ranger.drive == "omni"
     rng = np.random.default_rng(4)
     now = np.zeros(3)
     for _ in range(200):
         wish = rng.uniform(-3, 3, 3)
-        after = clip_velocity(robot, now, wish, 0.06)
+        after = clip_velocity(ranger, now, wish, 0.06)
         change = after - now
-        assert np.hypot(*after[:2]) <= robot.max_speed + 1e-9
-        assert np.hypot(*change[:2]) <= 0.06 * robot.max_acceleration + 1e-9
-        assert np.hypot(*velocity_window(robot, now, 0.06)[:, :2].T).max() <= robot.max_speed + 1e-9
+        assert np.hypot(*after[:2]) <= ranger.max_speed + 1e-9
+        assert np.hypot(*change[:2]) <= 0.06 * ranger.max_acceleration + 1e-9
+        assert (
+            np.hypot(*velocity_window(ranger, now, 0.06)[:, :2].T).max() <= ranger.max_speed + 1e-9
+        )
         now = after
     assert np.hypot(*now[:2]) > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -79,13 +78,13 @@ def test_a_rotated_box_blocks_the_cells_under_it() -> None:
     assert plan.blocked.sum() * CELL**2 >= 0.8 * 0.3 * 4
 
 
-def test_a_car_like_base_drives_at_least_the_shortest_curve(robots: Callable[[str], Robot]) -> None:
-    robot, start = robots("fetch"), np.array([0.5, -0.5, 0.4])
+def test_a_car_like_base_drives_at_least_the_shortest_curve(fetch: Robot) -> None:
+    start = np.array([0.5, -0.5, 0.4])
     plan = FloorPlan(np.array([-3.0, -3.0]), np.zeros((120, 120), bool))
     costs = build_cost_map(plan, start[:2], radius=0.3)
     poses = np.random.default_rng(0).uniform([-2, -2, -3], [2, 2, 3], (200, 3))
-    turning = TravelLengths(costs, robot, start)
-    car = TravelLengths(costs, replace(robot, drive="car", min_turning_radius=0.9), start)
+    turning = TravelLengths(costs, fetch, start)
+    car = TravelLengths(costs, replace(fetch, drive="car", min_turning_radius=0.9), start)
     np.testing.assert_array_equal(turning(poses), costs.lengths(poses[:, :2]))
     np.testing.assert_array_equal(car(poses[:, :2]), costs.lengths(poses[:, :2]))
     turn = np.abs(wrap_angle(poses[:, 2] - start[2]))

@@ -59,28 +59,28 @@ def test_a_base_arrives_within_the_tolerance_and_keeps_its_limits(robot: Robot) 
     assert record.ending is None
 
 
-def test_the_same_seed_gives_the_same_drive(robots: Callable[[str], Robot]) -> None:
-    nav_map = build_navigation_map(room([]), robots("fetch"))
+def test_the_same_seed_gives_the_same_drive(fetch: Robot) -> None:
+    nav_map = build_navigation_map(room([]), fetch)
     first, again, other = (go(nav_map, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.poses, again.poses)
     assert not np.array_equal(first.pose, other.pose)
 
 
-def test_without_noise_the_controller_knows_where_it_is(robots: Callable[[str], Robot]) -> None:
+def test_without_noise_the_controller_knows_where_it_is(ranger: Robot) -> None:
     config = DriveConfig(noise=NoiseConfig(position=0.0, heading=0.0, odometry=0.0))
-    record = go(build_navigation_map(room([]), robots("ranger_rm63")), config=config)
+    record = go(build_navigation_map(room([]), ranger), config=config)
     assert record.arrived
     np.testing.assert_allclose(record.pose, record.estimated_pose, atol=1e-9)
     assert np.hypot(*(record.pose - record.goal)[:2]) < 0.01
 
 
-def test_an_impossible_drive_is_refused_with_the_reason(robots: Callable[[str], Robot]) -> None:
-    nav_map = build_navigation_map(room([(1.5, 0.0, 0.5, 0.5, 0.0)]), robots("segway_ur5e"))
+def test_an_impossible_drive_is_refused_with_the_reason(segway: Robot) -> None:
+    nav_map = build_navigation_map(room([(1.5, 0.0, 0.5, 0.5, 0.0)]), segway)
     inside, off = np.array([1.5, 0.0, 0.0]), np.array([2.9, 2.0, 0.0])
     assert go(nav_map, goal=inside).reason == "the goal is in collision with box_0/box"
     assert go(nav_map, start=inside).reason == "the start is in collision with box_0/box"
     assert go(nav_map, goal=off).reason == "the goal is in collision with the edge of the floor"
-    blocked = build_navigation_map(room(wall_with_door(0.3)), robots("segway_ur5e"))
+    blocked = build_navigation_map(room(wall_with_door(0.3)), segway)
     refused = go(blocked)
     assert refused.reason == "there is no path for the footprint"
     assert refused.ending is DriveEnding.NO_PATH
@@ -93,27 +93,23 @@ def test_an_impossible_drive_is_refused_with_the_reason(robots: Callable[[str], 
                 go(nav_map, **{name: wrong})
 
 
-def test_a_floor_smaller_than_the_base_is_named_as_the_reason(
-    robots: Callable[[str], Robot],
-) -> None:
-    nav_map = build_navigation_map(room([], floor=0.1 * square(1.0)), robots("fetch"))
+def test_a_floor_smaller_than_the_base_is_named_as_the_reason(fetch: Robot) -> None:
+    nav_map = build_navigation_map(room([], floor=0.1 * square(1.0)), fetch)
     refused = go(nav_map, np.zeros(3), np.array([0.01, 0.0, 0.0]))
     assert refused.reason == "the start is in collision with the edge of the floor"
 
 
-def test_a_scene_without_a_known_floor_has_no_edges(robots: Callable[[str], Robot]) -> None:
+def test_a_scene_without_a_known_floor_has_no_edges(ranger: Robot) -> None:
     walls = replace(room([(0.0, 0.0, 0.4, 0.4, 0.3)]), floor_polygon=None)
     for scene in (walls, replace(walls, objects=())):
-        record = go(build_navigation_map(scene, robots("ranger_rm63")))
+        record = go(build_navigation_map(scene, ranger))
         assert record.arrived, record.reason
 
 
 @pytest.mark.parametrize("wrong", [np.zeros(5), np.zeros((1, 4)), np.full((1, 5), np.nan)])
-def test_moving_obstacles_that_are_not_discs_are_refused(
-    robots: Callable[[str], Robot], wrong: np.ndarray
-) -> None:
+def test_moving_obstacles_that_are_not_discs_are_refused(wrong: np.ndarray, fetch: Robot) -> None:
     with pytest.raises(SceneError, match="rows of five finite numbers"):
-        go(build_navigation_map(room([]), robots("fetch")), moving=lambda _: wrong)
+        go(build_navigation_map(room([]), fetch), moving=lambda _: wrong)
 
 
 @settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow])
@@ -155,16 +151,14 @@ def test_the_base_waits_for_or_passes_a_crossing_obstacle_and_never_hits_it(
     assert record.clearance_moving > 0
 
 
-def test_the_true_pose_is_reported_at_every_control_step(robots: Callable[[str], Robot]) -> None:
+def test_the_true_pose_is_reported_at_every_control_step(fetch: Robot) -> None:
     seen: list[np.ndarray] = []
-    record = go(build_navigation_map(room([]), robots("fetch")), on_pose=seen.append)
+    record = go(build_navigation_map(room([]), fetch), on_pose=seen.append)
     np.testing.assert_array_equal(record.poses[3::3], np.array(seen))
 
 
-def test_an_obstacle_standing_in_the_only_door_is_named_as_the_reason(
-    robots: Callable[[str], Robot],
-) -> None:
-    nav_map = build_navigation_map(room(wall_with_door(1.0)), robots("fetch"))
+def test_an_obstacle_standing_in_the_only_door_is_named_as_the_reason(fetch: Robot) -> None:
+    nav_map = build_navigation_map(room(wall_with_door(1.0)), fetch)
 
     def standing(_: float) -> np.ndarray:
         return np.array([[0.0, 0.0, 0.0, 0.0, 0.3]])

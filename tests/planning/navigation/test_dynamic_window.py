@@ -61,18 +61,15 @@ def test_the_chosen_velocity_is_the_best_of_all_rated_one_by_one(
     assert moving > 20
 
 
-def test_after_an_allowed_velocity_the_base_can_brake_without_collision(
-    robots: Callable[[str], Robot],
-) -> None:
-    robot = robots("husky_ur5e")
-    nav_map = build_navigation_map(room(BOXES), robot)
+def test_after_an_allowed_velocity_the_base_can_brake_without_collision(husky: Robot) -> None:
+    nav_map = build_navigation_map(room(BOXES), husky)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     checked = 0
-    for pose, window, _, alone in samples_along_paths(robot, np.zeros((0, 5))):
+    for pose, window, _, alone in samples_along_paths(husky, np.zeros((0, 5))):
         for v in window[np.isfinite(alone)][::9]:
             braking = max(
-                float(np.hypot(v[0], v[1])) / robot.max_acceleration,
-                abs(float(v[2])) / robot.max_yaw_acceleration,
+                float(np.hypot(v[0], v[1])) / husky.max_acceleration,
+                abs(float(v[2])) / husky.max_yaw_acceleration,
             )
             arc = np.linspace(0.0, DT + braking / 2, 20)
             assert not any(judge.distance(np.array([integrate(pose, v, t) for t in arc]))[1])
@@ -82,22 +79,21 @@ def test_after_an_allowed_velocity_the_base_can_brake_without_collision(
 
 @pytest.mark.parametrize("ahead", [0.2, 0.5])
 def test_the_base_can_stop_behind_an_obstacle_that_stops_at_once(
-    robots: Callable[[str], Robot], ahead: float
+    ahead: float, fetch: Robot
 ) -> None:
-    robot = robots("fetch")
-    nav_map = build_navigation_map(room([]), robot)
+    nav_map = build_navigation_map(room([]), fetch)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     path = plan_path(nav_map, np.array([-1.5, 0.0, 0.0]), np.array([1.5, 0.0, 0.0]))
-    pose, pace = path.poses[0], 0.6 * robot.max_speed
+    pose, pace = path.poses[0], 0.6 * fetch.max_speed
     disc = np.array([[pose[0] + 2.0, pose[1], pace, 0.0, 0.3]])
     disc[0, 0] -= judge.disc_distances(pose, disc)[0] - ahead
-    speeds = np.linspace(0.0, robot.max_speed, 40)
+    speeds = np.linspace(0.0, fetch.max_speed, 40)
     window = np.column_stack([speeds, np.zeros((40, 2))])
     steering = Steering(nav_map, path, WindowConfig(), DT)
     # Rate each alone, because rating them together skips those that cannot be the best.
     alone = [np.isfinite(steering.ratings(pose, v[None], 0, disc)[0]) for v in window]
     allowed = speeds[np.array(alone)]
-    assert (allowed * DT + allowed**2 / (2 * robot.max_acceleration) < ahead).all()
+    assert (allowed * DT + allowed**2 / (2 * fetch.max_acceleration) < ahead).all()
     assert 0 < len(allowed) < len(speeds)
 
 

@@ -13,7 +13,7 @@ from momapos.core.errors import SceneError
 from momapos.core.geometry.polygons import edge_normals
 from momapos.core.geometry.transforms import apply, invert
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.navigation.convex_polygons import obstacles_of, planning_outlines, prisms_of
 from momapos.planning.navigation.cost_map import CELL
 from momapos.planning.navigation.footprint_map import (
@@ -47,10 +47,8 @@ def test_a_gap_is_positive_without_overlap_and_at_most_the_distance(robot: Robot
     assert (found[free] <= distance[free] + 1e-9).all()
 
 
-def test_a_cell_is_free_where_the_footprint_is_clear_and_on_the_floor(
-    robots: Callable[[str], Robot],
-) -> None:
-    nav_map = build_navigation_map(room(CLUTTER), robots("husky_ur5e"))
+def test_a_cell_is_free_where_the_footprint_is_clear_and_on_the_floor(husky: Robot) -> None:
+    nav_map = build_navigation_map(room(CLUTTER), husky)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, nav_map.floor_polygon)
     rng = np.random.default_rng(1)
     h, i, j = (rng.integers(n, size=500) for n in nav_map.gap.shape)
@@ -61,8 +59,8 @@ def test_a_cell_is_free_where_the_footprint_is_clear_and_on_the_floor(
     assert (nav_map.free[h, i, j] == free).all()
 
 
-def test_dropping_outlines_inside_other_ones_changes_no_gap(robots: Callable[[str], Robot]) -> None:
-    body = prisms_of(robots("fetch"))
+def test_dropping_outlines_inside_other_ones_changes_no_gap(fetch: Robot) -> None:
+    body = prisms_of(fetch)
     everything = obstacles_of(room(CLUTTER), body)
     fewer = planning_outlines(everything, None)
     assert len(fewer) < len(everything)
@@ -84,10 +82,7 @@ def test_only_objects_between_the_floor_and_the_top_of_the_robot_are_obstacles(
     assert len(obstacles_of(above, body)) == len(obstacles_of(mat, body)) == 0
 
 
-def test_a_low_base_passes_under_a_shelf_that_its_arm_clears(
-    robots: Callable[[str], Robot],
-) -> None:
-    husky = robots("husky_ur5e")
+def test_a_low_base_passes_under_a_shelf_that_its_arm_clears(husky: Robot) -> None:
     body = prisms_of(husky)
     fronts = [float(outline[:, 0].max()) for outline in body.outlines]
     thin = int(np.argmin(fronts))
@@ -128,26 +123,25 @@ def test_an_obstacle_of_several_nested_prisms_is_checked_against_the_widest(robo
     assert all(not body.inside[a, b] for a in layers for b in layers if a != b)
 
 
-def test_a_scene_too_large_for_a_map_is_refused(robots: Callable[[str], Robot]) -> None:
-    robot = robots("fetch")
-    body = prisms_of(robot)
+def test_a_scene_too_large_for_a_map_is_refused(fetch: Robot) -> None:
+    body = prisms_of(fetch)
     with pytest.raises(SceneError, match="covers at most"):
-        navigation_map_of(robot, body, obstacles_of(room([]), body), square(1000.0))
+        navigation_map_of(fetch, body, obstacles_of(room([]), body), square(1000.0))
 
 
 @pytest.mark.parametrize("back", [False, True])
 def test_an_updated_map_equals_the_map_of_the_scene_after_the_motion(
-    robots: Callable[[str], Robot], back: bool
+    back: bool, kitchen: Scene, segway: Robot
 ) -> None:
     """A drawer is pulled out, or pushed in; the objects in it stay in place."""
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
+    scene = kitchen
     name, joint = "cabinet_right", "drawer_middle_slide"
     after = scene.with_joint(name, joint, 0.4)
     if back:
         scene, after = after, scene
-    outlines = obstacles_of(replace(after, objects=(after.object(name),)), prisms_of(robot))
-    before = build_navigation_map(scene, robot)
-    moved, rebuilt = with_object_moved(before, name, outlines), build_navigation_map(after, robot)
+    outlines = obstacles_of(replace(after, objects=(after.object(name),)), prisms_of(segway))
+    before = build_navigation_map(scene, segway)
+    moved, rebuilt = with_object_moved(before, name, outlines), build_navigation_map(after, segway)
     rng = np.random.default_rng(2)
     low, high = rebuilt.obstacles.bounds[:, :2].min(0), rebuilt.obstacles.bounds[:, 2:].max(0)
     xy = rng.uniform(low - 0.5, high + 0.5, (4000, 2))

@@ -11,7 +11,7 @@ from tests.planning.navigation.boxes import free_pose, room, wall_with_door
 from momapos.core.geometry.polygons import inscribed_radius
 from momapos.core.geometry.transforms import wrap_angle
 from momapos.model.robots.robot import Robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.navigation import global_path
 from momapos.planning.navigation.cost_map import CELL, FloorPlan, build_cost_map
 from momapos.planning.navigation.footprint_map import (
@@ -101,9 +101,10 @@ def test_what_a_start_remembers_changes_no_path(robot: Robot, more: float) -> No
     assert found > 0
 
 
-def test_a_path_is_free_of_collision_and_little_longer_than_that_of_a_disc(robot: Robot) -> None:
-    scene = load_scene("kitchen_small")
-    nav_map = build_navigation_map(scene, robot)
+def test_a_path_is_free_of_collision_and_little_longer_than_that_of_a_disc(
+    robot: Robot, kitchen: Scene
+) -> None:
+    nav_map = build_navigation_map(kitchen, robot)
     inner = float(inscribed_radius(robot.footprint))
     rng = np.random.default_rng(3)
     plan = FloorPlan(nav_map.origin, ~(nav_map.gap > -0.02).any(0))
@@ -131,10 +132,10 @@ def test_a_search_computes_only_the_gaps_of_visited_states(robot: Robot) -> None
 
 
 def test_a_cell_is_standable_where_the_base_fits_with_some_heading(
-    robots: Callable[[str], Robot],
+    robots: Callable[[str], Robot], kitchen: Scene
 ) -> None:
     for name in ("fetch", "segway_ur5e"):
-        nav_map = build_navigation_map(load_scene("kitchen_small"), robots(name))
+        nav_map = build_navigation_map(kitchen, robots(name))
         moves = lattice_moves(nav_map.robot)
         lattice = Lattice(nav_map.origin, CELL, HEADINGS, moves, MAX_GAP)
         surroundings = OutlineArrays(nav_map.prisms.arrays, nav_map.planning_obstacles.arrays)
@@ -144,10 +145,8 @@ def test_a_cell_is_standable_where_the_base_fits_with_some_heading(
         np.testing.assert_array_equal(found, (nav_map.gap >= MIN_GAP).any(0))
 
 
-def test_a_differential_base_drives_along_its_heading_and_turns_on_the_spot(
-    robots: Callable[[str], Robot],
-) -> None:
-    nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 1.0, 0.4)]), robots("segway_ur5e"))
+def test_a_differential_base_drives_along_its_heading_and_turns_on_the_spot(segway: Robot) -> None:
+    nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 1.0, 0.4)]), segway)
     path = plan_path(nav_map, np.array([-1.8, -1.0, 2.0]), np.array([1.8, 0.6, 0.0]))
     step = np.diff(path.poses, axis=0)
     turn = np.abs(wrap_angle(step[:, 2]))
@@ -156,25 +155,22 @@ def test_a_differential_base_drives_along_its_heading_and_turns_on_the_spot(
     assert (np.minimum(np.hypot(step[:, 0], step[:, 1]), turn) < 1e-9).all()
 
 
-def test_an_omni_base_needs_no_turning(robots: Callable[[str], Robot]) -> None:
-    nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 0.4, 0.0)]), robots("ranger_rm63"))
+def test_an_omni_base_needs_no_turning(ranger: Robot) -> None:
+    nav_map = build_navigation_map(room([(0.0, 0.0, 1.0, 0.4, 0.0)]), ranger)
     start, goal = np.array([-1.8, -0.3, 0.1]), np.array([1.8, 0.6, 0.1])
     path = plan_path(nav_map, start, goal)
     assert np.abs(wrap_angle(path.poses[:, 2] - 0.1)).max() < 0.3
-    empty = build_navigation_map(room([]), robots("ranger_rm63"))
+    empty = build_navigation_map(room([]), ranger)
     straight = plan_path(empty, start, goal)
     assert np.abs(wrap_angle(straight.poses[:, 2] - 0.1)).max() < 1e-9
 
 
-def test_a_base_close_to_furniture_can_back_out_and_drive_in(
-    robots: Callable[[str], Robot],
-) -> None:
-    robot = robots("husky_ur5e")
-    front = float(robot.footprint[:, 0].max())
-    side = float(robot.footprint[:, 1].max())
+def test_a_base_close_to_furniture_can_back_out_and_drive_in(husky: Robot) -> None:
+    front = float(husky.footprint[:, 0].max())
+    side = float(husky.footprint[:, 1].max())
     # A niche slightly wider than the base, in front of a wall.
     niche = [(2.0, s * (side + 0.07), 1.0, 0.1, 0.0) for s in (-1, 1)]
-    nav_map = build_navigation_map(room([*niche, (2.55, 0.0, 0.1, 2.0, 0.0)]), robot)
+    nav_map = build_navigation_map(room([*niche, (2.55, 0.0, 0.1, 2.0, 0.0)]), husky)
     docked = np.array([2.5 - front - 0.015, 0.0, 0.0])
     path = plan_path(nav_map, docked, np.array([-1.0, 1.0, 0.0]))
     back = plan_path(nav_map, np.array([-1.0, 1.0, 0.0]), docked)
@@ -205,32 +201,27 @@ def test_a_base_along_a_long_wall_shuffles_away_from_it_and_back(
         np.testing.assert_allclose(path.poses[[0, -1]], [start, goal], atol=1e-9)
 
 
-def test_a_room_slightly_larger_than_the_base_allows_driving_but_not_turning(
-    robots: Callable[[str], Robot],
-) -> None:
-    robot = robots("husky_ur5e")
-    length, width = np.ptp(robot.footprint, axis=0) + np.array([0.3, 0.1])
+def test_a_room_slightly_larger_than_the_base_allows_driving_but_not_turning(husky: Robot) -> None:
+    length, width = np.ptp(husky.footprint, axis=0) + np.array([0.3, 0.1])
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    middle = (robot.footprint.max(0) + robot.footprint.min(0)) / 2
+    middle = (husky.footprint.max(0) + husky.footprint.min(0)) / 2
     floor = middle + corners * [length / 2, width / 2]
-    nav_map = build_navigation_map(room([], floor=floor), robot)
+    nav_map = build_navigation_map(room([], floor=floor), husky)
     path = plan_path(nav_map, np.array([-0.1, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
     assert path.length == pytest.approx(0.2)
     assert plan_path(nav_map, np.zeros(3), np.array([0.0, 0.0, np.pi])) is None
 
 
-def test_a_path_keeps_its_distance_from_an_obstacle_where_possible(
-    robots: Callable[[str], Robot],
-) -> None:
-    nav_map = build_navigation_map(room([(0.0, -0.4, 1.0, 0.8, 0.0)]), robots("fetch"))
+def test_a_path_keeps_its_distance_from_an_obstacle_where_possible(fetch: Robot) -> None:
+    nav_map = build_navigation_map(room([(0.0, -0.4, 1.0, 0.8, 0.0)]), fetch)
     path = plan_path(nav_map, np.array([-1.5, -0.3, 0.0]), np.array([1.5, -0.3, 0.0]))
     assert path.gap.min() > 0.02
 
 
-def test_no_path_through_a_random_scene_touches_anything(robots: Callable[[str], Robot]) -> None:
+def test_no_path_through_a_random_scene_touches_anything(ranger: Robot) -> None:
     rng = np.random.default_rng(0)
     boxes = [(*rng.uniform(-2, 2, 2), *rng.uniform(0.1, 0.8, 2), 1.0) for _ in range(6)]
-    nav_map = build_navigation_map(room(boxes), robots("ranger_rm63"))
+    nav_map = build_navigation_map(room(boxes), ranger)
     for _ in range(4):
         ends = [free_pose(nav_map, rng, gap=0.03) for _ in range(2)]
         path = plan_path(nav_map, *ends)

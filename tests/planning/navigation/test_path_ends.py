@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.navigation.footprint_map import NavigationMap, build_navigation_map
 from momapos.planning.navigation.lattice import connections
 from momapos.planning.navigation.path_ends import (
@@ -25,8 +25,8 @@ POSE = np.array([0.6, -1.6, -2.0])
 
 
 @pytest.fixture(scope="module", params=["segway_ur5e", "ranger_rm63"])
-def nav_map(request: pytest.FixtureRequest) -> NavigationMap:
-    return build_navigation_map(load_scene("kitchen_small"), load_robot(request.param))
+def nav_map(request: pytest.FixtureRequest, kitchen: Scene) -> NavigationMap:
+    return build_navigation_map(kitchen, load_robot(request.param))
 
 
 def through(end: PathEnd, entries: LatticeEntries, states: np.ndarray, exit_: int) -> np.ndarray:

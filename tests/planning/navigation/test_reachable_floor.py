@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.polygons import inscribed_radius
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.navigation.footprint_map import build_navigation_map
@@ -44,10 +44,8 @@ def test_a_passage_two_centimeters_too_narrow_is_found_and_a_fitting_one_is_not(
         assert floor.contains(np.array([START]))[0]
 
 
-def test_the_passage_is_named_with_its_width() -> None:
-    floor = ReachableFloor(
-        build_navigation_map(doorway(0.65, y=0.13), load_robot("husky_ur5e")), START
-    )
+def test_the_passage_is_named_with_its_width(husky: Robot) -> None:
+    floor = ReachableFloor(build_navigation_map(doorway(0.65, y=0.13), husky), START)
     passage = floor.passage(BEYOND)
     assert passage.width == pytest.approx(0.65, abs=0.005)
     assert set(passage.between) == {"wall_a", "wall_b"}
@@ -55,23 +53,23 @@ def test_the_passage_is_named_with_its_width() -> None:
     assert str(passage).endswith("and the robot needs 69 cm")
 
 
-def test_a_closed_room_has_no_passage() -> None:
+def test_a_closed_room_has_no_passage(fetch: Robot) -> None:
     wall = SceneObject.box("wall", (0.1, 4.0, 2.0), (0, 0, 1))
     scene = Scene("room", (wall,), floor_polygon=FLOOR)
-    floor = ReachableFloor(build_navigation_map(scene, load_robot("fetch")), START)
+    floor = ReachableFloor(build_navigation_map(scene, fetch), START)
     assert not floor.contains(BEYOND)[0]
     assert floor.passage(BEYOND) is None
 
 
-def test_without_a_floor_the_robot_may_drive_around() -> None:
+def test_without_a_floor_the_robot_may_drive_around(husky: Robot) -> None:
     scene = Scene("room", doorway(0.3).objects)
-    floor = ReachableFloor(build_navigation_map(scene, load_robot("husky_ur5e")), START)
+    floor = ReachableFloor(build_navigation_map(scene, husky), START)
     assert floor.contains(np.vstack([BEYOND, [[90.0, 90.0]]])).all()
 
 
-def test_wherever_a_path_leads_the_fill_leads_too() -> None:
+def test_wherever_a_path_leads_the_fill_leads_too(husky: Robot) -> None:
     """In random rooms, for random goals where the robot fits."""
-    rng, arm = np.random.default_rng(5), load_robot("husky_ur5e")
+    rng = np.random.default_rng(5)
     compared, cut = 0, 0
     for _ in range(8):
         boxes = [
@@ -81,7 +79,7 @@ def test_wherever_a_path_leads_the_fill_leads_too() -> None:
             )
             for k in range(6)
         ]  # fmt: skip
-        nav_map = build_navigation_map(Scene("room", tuple(boxes), floor_polygon=FLOOR), arm)
+        nav_map = build_navigation_map(Scene("room", tuple(boxes), floor_polygon=FLOOR), husky)
         poses = rng.uniform([-2.2, -1.2, -np.pi], [2.2, 1.2, np.pi], (300, 3))
         start = np.array([-1.9, 0.0, 0.0])
         if gaps(start[None], nav_map.prisms, nav_map.planning_obstacles)[0] <= 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from tests.rooms import Everywhere, cabinet_room
 from momapos.core.cache import default_cache_dir
 from momapos.core.errors import SceneError
 from momapos.model.records.plans import PlacementPlan, Task
-from momapos.model.robots.robot import Robot, load_robot, read_robot
+from momapos.model.robots.robot import Robot, read_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
@@ -37,9 +36,8 @@ STRETCHED = np.array([0.15, 0.0, -0.1, 0.0, 0.2, 0.0, 0.2, 0.0])
 
 
 @pytest.fixture(scope="module")
-def wide(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+def wide(tmp_path_factory: pytest.TempPathFactory, fetch: Robot) -> Robot:
     """Return a Fetch that drives with its arm stretched out."""
-    fetch = load_robot("fetch")
     folder = tmp_path_factory.mktemp("wide")
     text = fetch.path.read_text()
     home = next(line for line in text.splitlines() if line.startswith("home"))
@@ -87,18 +85,17 @@ def test_a_chosen_start_has_clearance_for_the_arm_at_home(wide: Robot, tmp_path:
 
 
 def test_a_plan_contains_its_start_and_a_free_path_to_its_base_pose(
-    robots: Callable[[str], Robot], room: Scene
+    room: Scene, segway: Robot
 ) -> None:
-    robot = robots("segway_ur5e")
     plan = plan_base_placement(
-        room, robot, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
+        room, segway, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
     ).plan
     assert plan.status == "solved"
     np.testing.assert_allclose(plan.start, room.start)
     np.testing.assert_allclose(plan.base_path[0], plan.start)
     np.testing.assert_allclose(plan.base_path[-1], plan.base_pose)
-    assert all(touching(robot, room, pose) == "" for pose in plan.base_path[::5])
-    checks = PlanVerifier(room, robot, plan.task).drive_checks(plan)
+    assert all(touching(segway, room, pose) == "" for pose in plan.base_path[::5])
+    checks = PlanVerifier(room, segway, plan.task).drive_checks(plan)
     assert len(checks) == 6
     assert all(check.ok for check in checks)
 
@@ -115,19 +112,18 @@ def test_a_plan_contains_its_start_and_a_free_path_to_its_base_pose(
     ],
 )
 def test_a_start_or_path_that_is_not_free_fails_the_check(
-    robots: Callable[[str], Robot], room: Scene, change: dict[str, object], name: str
+    room: Scene, change: dict[str, object], name: str, segway: Robot
 ) -> None:
-    robot = robots("segway_ur5e")
     plan = plan_base_placement(
-        room, robot, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
+        room, segway, make_task(room, "open", "cabinet"), Everywhere(), config=CONFIG
     ).plan
     wrong: PlacementPlan = replace(plan, **change)  # type: ignore[arg-type]
-    checks = PlanVerifier(room, robot, plan.task).drive_checks(wrong)
+    checks = PlanVerifier(room, segway, plan.task).drive_checks(wrong)
     assert name in [check.name for check in checks if not check.ok]
 
 
 def test_a_base_pose_that_is_unreachable_with_the_arm_at_home_is_rejected(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, ranger: Robot
 ) -> None:
     """Bars at arm height surround the base pose; the base alone would pass under them."""
     bars = "".join(
@@ -138,11 +134,10 @@ def test_a_base_pose_that_is_unreachable_with_the_arm_at_home_is_rejected(
         )
     )
     scene = cabinet_room(tmp_path, extra=bars)
-    robot = robots("ranger_rm63")
     start = np.array([0.0, -3.0, np.pi / 2])
     config = PipelineConfig(place=PlaceConfig(count=64, rounds=1, grid=False), timeout=60.0)
     plan = plan_base_placement(
-        scene, robot, make_task(scene, "open", "cabinet"), Everywhere(), start=start, config=config
+        scene, ranger, make_task(scene, "open", "cabinet"), Everywhere(), start=start, config=config
     ).plan
     assert plan.status == "infeasible"
     reasons = " ".join(plan.candidates.rejections)
@@ -150,38 +145,36 @@ def test_a_base_pose_that_is_unreachable_with_the_arm_at_home_is_rejected(
 
 
 def test_outlines_after_a_task_are_those_of_the_object_in_the_scene_after_it(
-    robots: Callable[[str], Robot], room: Scene
+    room: Scene, segway: Robot
 ) -> None:
-    robot, task = robots("segway_ur5e"), make_task(room, "open", "cabinet", to=1.2)
+    task = make_task(room, "open", "cabinet", to=1.2)
     after = room.with_joint("cabinet", task.joint, 1.2)
-    nav_map = build_navigation_map(after, robot)
+    nav_map = build_navigation_map(after, segway)
     rng = np.random.default_rng(0)
     poses = rng.uniform([-1.5, -1.5, -np.pi], [1.5, 0.5, np.pi], (200, 3))
-    outlines = outlines_after(room, robot, task)
-    clear = clear_at_home(poses, robot, outlines)
+    outlines = outlines_after(room, segway, task)
+    clear = clear_at_home(poses, segway, outlines)
     judge = FootprintCollisionChecker(nav_map.prisms, nav_map.obstacles, None)
     touched = judge.distance(poses)[1]
     assert 20 < clear.sum() < 180
     assert [not name for name in touched] == clear.tolist()
-    assert [touched_at_home(pose, robot, outlines) for pose in poses] == touched
+    assert [touched_at_home(pose, segway, outlines) for pose in poses] == touched
 
 
-def test_a_task_without_a_joint_has_no_outlines_after_it(robots: Callable[[str], Robot]) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    rigid = next(item.name for item in scene.objects if not item.model.joints)
-    outlines = outlines_after(scene, robot, Task("pick", rigid))
+def test_a_task_without_a_joint_has_no_outlines_after_it(kitchen: Scene, segway: Robot) -> None:
+    rigid = next(item.name for item in kitchen.objects if not item.model.joints)
+    outlines = outlines_after(kitchen, segway, Task("pick", rigid))
     assert not len(outlines)
-    assert clear_at_home(np.zeros((3, 3)), robot, outlines).all()
-    assert touched_at_home(np.zeros(3), robot, outlines) == ""
+    assert clear_at_home(np.zeros((3, 3)), segway, outlines).all()
+    assert touched_at_home(np.zeros(3), segway, outlines) == ""
 
 
 def test_the_next_task_can_start_at_the_base_pose_that_opened_a_door(
-    robots: Callable[[str], Robot],
+    kitchen: Scene, segway: Robot
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    reach = load_reach(robot, default_cache_dir())
-    task = make_task(scene, "open", "fridge", "door_hinge")
-    answer = plan_base_placement(scene, robot, task, reach)
+    reach = load_reach(segway, default_cache_dir())
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    answer = plan_base_placement(kitchen, segway, task, reach)
     assert answer.touched_after == ""
-    opened = scene.with_joint("fridge", "door_hinge", task.to)
-    check_arm_at_home(build_navigation_map(opened, robot), np.array(answer.plan.base_pose))
+    opened = kitchen.with_joint("fridge", "door_hinge", task.to)
+    check_arm_at_home(build_navigation_map(opened, segway), np.array(answer.plan.base_pose))

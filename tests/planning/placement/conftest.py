@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -16,10 +14,10 @@ from rooms import cabinet_room
 
 
 @pytest.fixture(scope="module")
-def geometry(
-    tmp_path_factory: pytest.TempPathFactory, robots: Callable[[str], Robot]
-) -> PlacementGeometry:
-    scene, robot = cabinet_room(tmp_path_factory.mktemp("room")), robots("segway_ur5e")
-    motion = task_motion(scene, robot, make_task(scene, "open", "cabinet"), PipelineConfig().motion)
+def geometry(tmp_path_factory: pytest.TempPathFactory, segway: Robot) -> PlacementGeometry:
+    scene = cabinet_room(tmp_path_factory.mktemp("room"))
+    motion = task_motion(
+        scene, segway, make_task(scene, "open", "cabinet"), PipelineConfig().motion
+    )
     Ts = np.ascontiguousarray(motion.Ts_world_tool[:, motion.waypoint_steps])
-    return PlacementGeometry(robot, Ts, motion.static, motion.sweep(), scene.floor_polygon, 0.01)
+    return PlacementGeometry(segway, Ts, motion.static, motion.sweep(), scene.floor_polygon, 0.01)

@@ -101,8 +101,8 @@ def test_the_sampling_frame_moves_with_the_scene(robot: Robot, tmp_path: Path) -
     assert abs(wrap_angle(difference[2])) < 1e-9
 
 
-def test_a_mirrored_scene_mirrors_the_free_area(robots: object, tmp_path: Path) -> None:
-    robot: Robot = robots("fetch")  # type: ignore[operator]
+def test_a_mirrored_scene_mirrors_the_free_area(tmp_path: Path, fetch: Robot) -> None:
+    robot: Robot = fetch  # type: ignore[operator]
     right = make_geometry(cabinet_room(tmp_path / "r"), robot)
     left = make_geometry(cabinet_room(tmp_path / "l", left=True), robot)
     poses = grid(right)

@@ -83,6 +83,7 @@ def test_a_plan_names_each_term_with_its_value_and_weight(tmp_path: Path) -> Non
     assert list(plan.cost) == NAMES
     assert [term.weight for term in plan.cost.values()] == [1.0, None, 0.0, 0.0, 0.5]
     assert plan.cost["driving"].value == pytest.approx(plan.navigation_cost)
+    assert plan.motion is not None
     moved = np.abs(np.diff(plan.motion.q, axis=0)).sum()  # it has no prismatic joint
     assert plan.cost["effort"].value == pytest.approx(moved)
     assert all(term.value is not None and term.value >= 0.0 for term in plan.cost.values())
@@ -120,6 +121,8 @@ def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segwa
             plan_base_placement(kitchen, segway, asked, reach, config=config).plan.navigation_cost
             for config in (PipelineConfig(), cheapest)
         )
+        assert usual is not None
+        assert near is not None
         driven.append((usual, near))
     assert sum(near for _, near in driven) < sum(usual for usual, _ in driven)
 

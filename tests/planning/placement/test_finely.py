@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from momapos.model.kinematics.ik import build_ik
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.base_paths import OnwardPaths
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -19,21 +19,22 @@ from momapos.planning.search_setup import SearchSetup
 COARSE = PlaceConfig(rounds=1, count=128, grid_cell=0.1, grid_turn=20.0)
 
 
-def test_the_finer_arm_differs_only_in_its_locked_joint_samples() -> None:
-    robot = load_robot("fetch")
-    spheres = robot.spheres
-    assert robot.finer.chain is robot.chain
-    assert robot.finer.spheres is spheres
-    assert len(robot.finer.ik.samples) > 4 * len(robot.ik.samples)
-    assert not robot.ik.complete
-    assert load_robot("segway_ur5e").ik.complete
+def test_the_finer_arm_differs_only_in_its_locked_joint_samples(
+    fetch: Robot, segway: Robot
+) -> None:
+    spheres = fetch.spheres
+    assert fetch.finer.chain is fetch.chain
+    assert fetch.finer.spheres is spheres
+    assert len(fetch.finer.ik.samples) > 4 * len(fetch.ik.samples)
+    assert not fetch.ik.complete
+    assert segway.ik.complete
 
 
 def test_the_recheck_finds_what_coarse_inverse_kinematics_misses(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, kitchen: Scene
 ) -> None:
-    robot, scene = load_robot("fetch"), load_scene("kitchen_small")
-    vars(robot)["ik"] = build_ik(robot.chain, samples_per_joint=1)
+    fetch = load_robot("fetch")
+    vars(fetch)["ik"] = build_ik(fetch.chain, samples_per_joint=1)
     rechecks: list[Search] = []
     refine = SearchSetup.refine
 
@@ -51,8 +52,8 @@ def test_the_recheck_finds_what_coarse_inverse_kinematics_misses(
         return check(self, base)
 
     monkeypatch.setattr(OnwardPaths, "__call__", spied_departure)
-    task = make_task(scene, "open", "fridge", "door_hinge")
-    plan = plan_base_placement(scene, robot, task, config=PipelineConfig(place=COARSE)).plan
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
+    plan = plan_base_placement(kitchen, fetch, task, config=PipelineConfig(place=COARSE)).plan
     assert len(rechecks) == 1
     assert plan.status == "solved"
     assert plan.base_pose == tuple(rechecks[0].base.tolist())

@@ -10,8 +10,8 @@ import pytest
 
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.placement.problem import PoseOutcomes, Search
@@ -47,9 +47,10 @@ def test_the_nearest_miss_is_the_pose_whose_checks_came_farthest(
     assert miss.reason == str(outcomes[nearest])
 
 
-def test_a_plan_file_keeps_the_nearest_miss(tmp_path: Path) -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
+def test_a_plan_file_keeps_the_nearest_miss(tmp_path: Path, kitchen: Scene, segway: Robot) -> None:
+    plan = plan_base_placement(
+        kitchen, segway, make_task(kitchen, "open", "fridge", "door_hinge")
+    ).plan
     assert plan.candidates.nearest is None
     write_plan(plan, tmp_path / "solved.json")
     assert "nearest" not in (tmp_path / "solved.json").read_text()

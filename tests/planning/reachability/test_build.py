@@ -56,19 +56,20 @@ def test_turned_samples_equal_those_of_ik_built_at_every_value(name: str) -> Non
 
 
 @pytest.mark.parametrize("heights", [3, 9, 17])
-def test_each_value_of_the_first_joint_is_tried_at_every_height_of_the_torso(heights: int) -> None:
+def test_each_value_of_the_first_joint_is_tried_at_every_height_of_the_torso(
+    heights: int, fetch: Robot
+) -> None:
     """Also with more than 128 samples, which IK for planning would spread."""
-    robot = load_robot("fetch")
-    frame = arm_frame(robot.chain, robot.approach_axis)
-    turned, (_, value, _) = locked_samples(_freed(robot, frame.first), frame, 4, heights)
+    frame = arm_frame(fetch.chain, fetch.approach_axis)
+    turned, (_, value, _) = locked_samples(_freed(fetch, frame.first), frame, 4, heights)
     for v in np.unique(value):
         assert len(np.unique(turned.samples[value == v, 0])) == heights
 
 
-def test_evaluating_some_azimuths_gives_those_bits_of_the_full_mask() -> None:
-    robot, rng = load_robot("husky_ur5e"), np.random.default_rng(0)
-    frame = arm_frame(robot.chain, robot.approach_axis)
-    evaluate = _Evaluator(robot, frame, ReachConfig(spins=2), lambda _share: None)
+def test_evaluating_some_azimuths_gives_those_bits_of_the_full_mask(husky: Robot) -> None:
+    rng = np.random.default_rng(0)
+    frame = arm_frame(husky.chain, husky.approach_axis)
+    evaluate = _Evaluator(husky, frame, ReachConfig(spins=2), lambda _share: None)
     lines = rng.uniform((0.2, 0.1, -1, -1), (1.0, 0.9, 1, 1), (300, 4))
     full = evaluate(lines, np.full(300, ~np.uint64(0)), 0.0, 1.0)
     wanted = rng.integers(0, 1 << 63, 300, np.uint64)
@@ -86,14 +87,13 @@ def test_nearby_azimuths_are_those_of_neighbors_widened_to_both_sides() -> None:
     assert np.count_nonzero(found) == 9
 
 
-def test_protruding_spheres_touch_no_more_of_the_base_where_hulls_are_checked() -> None:
+def test_protruding_spheres_touch_no_more_of_the_base_where_hulls_are_checked(husky: Robot) -> None:
     """As near a shoulder, where links pass so close to the base that spheres always touch."""
-    robot = load_robot("husky_ur5e")
-    fine = replace(robot.spheres, base_exact=np.zeros_like(robot.spheres.base_exact))
+    fine = replace(husky.spheres, base_exact=np.zeros_like(husky.spheres.base_exact))
     coarse = replace(fine, radius=fine.radius + 0.014, base_exact=fine.base_pairs)
-    first = arm_frame(robot.chain, robot.approach_axis).first
+    first = arm_frame(husky.chain, husky.approach_axis).first
     touched = [
-        np.bitwise_count(standing_table(spheres, robot.chain.d, first).words).sum()
+        np.bitwise_count(standing_table(spheres, husky.chain.d, first).words).sum()
         for spheres in (fine, coarse)
     ]
     assert 0 < touched[1] < touched[0]

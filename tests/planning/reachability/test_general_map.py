@@ -221,10 +221,10 @@ def free_turns(robot: Robot, q: np.ndarray) -> int | None:
      ((0, 1, 2, 3, 5, 3), False)],
 )  # fmt: skip
 def test_a_last_joint_turns_only_the_tool_if_no_other_joint_moves_with_it(
-    dof: tuple[int, ...], turns: bool
+    dof: tuple[int, ...], turns: bool, husky: Robot
 ) -> None:
     """The last degree of freedom need not belong to the last joint."""
-    chain = load_robot("husky_ur5e").chain
+    chain = husky.chain
     limits = np.where(np.arange(6) == dof[-1], 4.0, 1.0)
     chain = replace(chain, dof=np.array(dof), lower=-limits, upper=limits)
     frame = arm_frame(chain, np.array([1.0, 0.0, 0.0]))
@@ -266,9 +266,10 @@ def test_a_map_of_the_older_version_with_turns_first_is_decoded() -> None:
     np.testing.assert_array_equal(again.turned, turned)
 
 
-def test_the_number_of_start_states_is_part_of_the_key_of_flooded_maps_only(robot: Robot) -> None:
-    upright = load_robot("husky_ur5e")
-    for one, same in ((upright, True), (robot, False)):
+def test_the_number_of_start_states_is_part_of_the_key_of_flooded_maps_only(
+    robot: Robot, husky: Robot
+) -> None:
+    for one, same in ((husky, True), (robot, False)):
         keys = {map_key(one, replace(COARSE, states=n)) for n in (1000, 2000)}
         assert (len(keys) == 1) == same
 
@@ -288,14 +289,15 @@ def test_an_arm_with_few_joints_has_no_map(robot: Robot) -> None:
     assert "5 degrees of freedom" in no_map(short)
 
 
-def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematics() -> None:
-    robot = load_robot("husky_ur5e")
-    chain, segments = robot._parts
+def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematics(
+    husky: Robot,
+) -> None:
+    chain, segments = husky._parts
     bent = chain.d.copy()
     bent[5] += (0.03, 0.02, 0.01)
-    other = replace(robot)
+    other = replace(husky)
     other.__dict__["_parts"] = (replace(chain, d=bent), segments)
-    other.__dict__["spheres"] = robot.spheres
+    other.__dict__["spheres"] = husky.spheres
     frame = arm_frame(other.chain, other.approach_axis)
     assert frame.turns_alike
     assert is_flooded(other, frame)
@@ -305,17 +307,16 @@ def test_an_arm_without_closed_form_has_a_map_that_agrees_with_inverse_kinematic
     assert found.false_positives < 0.15
 
 
-def test_the_map_of_an_arm_with_hull_checks_against_its_torso_is_flooded() -> None:
+def test_the_map_of_an_arm_with_hull_checks_against_its_torso_is_flooded(fetch: Robot) -> None:
     """A map that is built line by line checks contact with the torso by spheres only."""
-    robot = load_robot("fetch")
-    frame, spheres = arm_frame(robot.chain, robot.approach_axis), robot.spheres
-    assert not is_flooded(robot, frame)
+    frame, spheres = arm_frame(fetch.chain, fetch.approach_axis), fetch.spheres
+    assert not is_flooded(fetch, frame)
     stands = spheres.segment[spheres.pairs] <= frame.first
     for mixed in (True, False):
         rows = np.flatnonzero((stands[:, 0] != stands[:, 1]) == mixed)
         exact = np.zeros(len(spheres.pairs), bool)
         exact[rows[0]] = True
-        other = replace(robot)
-        other.__dict__["_parts"], other.__dict__["ik"] = robot._parts, robot.ik
+        other = replace(fetch)
+        other.__dict__["_parts"], other.__dict__["ik"] = fetch._parts, fetch.ik
         other.__dict__["spheres"] = replace(spheres, exact=exact)
         assert is_flooded(other, frame) == mixed

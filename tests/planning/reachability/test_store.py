@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from momapos.core.errors import FileFormatError
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.planning.reachability.map_store import MAX_BYTES, decode, encode, shipped
 from momapos.planning.reachability.reach_map import ReachMap
 
@@ -84,9 +84,9 @@ def test_data_that_is_not_a_map_is_refused(case: str) -> None:
 
 @pytest.mark.parametrize("kind", ["fifo", "folder", "sparse", "circle", "damaged"])
 def test_a_damaged_file_next_to_a_robot_is_ignored(
-    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture, ranger: Robot
 ) -> None:
-    robot = replace(load_robot("ranger_rm63"), path=tmp_path / "r.toml")
+    robot = replace(ranger, path=tmp_path / "r.toml")
     path = tmp_path / "r.reach"
     assert shipped(robot, "key") is None
     assert not caplog.messages
