@@ -9,7 +9,6 @@ and an MP4, both 1280 x 720. With `--out` the strip, the MP4 (`demo.mp4`) and a 
 
 from __future__ import annotations
 
-import argparse
 import io
 import tempfile
 import time
@@ -17,14 +16,14 @@ from pathlib import Path
 
 from PIL import Image, ImageSequence
 
-from momapos.model.robots import load_robot
 from momapos.model.scene import load_scene
 from momapos.planning import plan_base_placement
 from momapos.planning.grasps import make_task
-from momapos.planning.reachability import load_reach
 from momapos.simulation import GIF, MP4, RunTrace, write_film
 from momapos.simulation.film import STRIP
 from momapos.workflows import run_plan
+from placement import arm
+from rows import commands
 
 PAGE = (720, 405)
 """Size of the README's GIF [px]."""
@@ -33,17 +32,6 @@ STRIP_WIDTH = 1800
 """Width of the strip in the docs [px]."""
 COLORS = 64
 """Colors of stored frames [-]."""
-
-
-def executed() -> RunTrace:
-    """Run the demo in physics, like `momapos run`."""
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    reach, trace = load_reach(robot), RunTrace()
-    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge"))
-    done = run_plan(plan.plan, scene, robot, reach, trace=trace.drive, watch=trace)
-    if not done.success:
-        raise RuntimeError(f"the demo failed: {done.reason}")
-    return trace
 
 
 def lasts(film: bytes, ending: str) -> tuple[int, float]:
@@ -75,11 +63,19 @@ def smaller(film: bytes) -> bytes:
     return content.getvalue()
 
 
-def run(out: Path | None) -> None:
-    """Render the demo and print the times."""
+def main(out: Path | None = None) -> None:
+    """Run the demo in physics, like `momapos run`; render it and print the times.
+
+    Args:
+        out: Folder of the stored images.
+    """
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    trace = executed()
+    scene, (robot, reach), trace = load_scene("kitchen_small"), arm("segway_ur5e"), RunTrace()
+    plan = plan_base_placement(scene, robot, make_task(scene, "open", "fridge", "door_hinge")).plan
+    done = run_plan(plan, scene, robot, reach, trace=trace.drive, watch=trace)
+    if not done.success:
+        raise RuntimeError(f"the demo failed: {done.reason}")
     whole = sum(act.duration for act in trace.acts)
     print(f"the run: {whole:.1f} s", flush=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -89,11 +85,8 @@ def run(out: Path | None) -> None:
             write_film(trace, path, ending="done", title=TITLE)
             took, own = time.perf_counter() - began, time.process_time() - own
             film = path.read_bytes()
-            played = (
-                ""
-                if ending == STRIP
-                else "{} frames, duration {:.1f} s, ".format(*lasts(film, ending))
-            )
+            count, lasting = (0, 0.0) if ending == STRIP else lasts(film, ending)
+            played = f"{count} frames, duration {lasting:.1f} s, " if count else ""
             print(f"{ending[1:]}: {played}drawn in {took:.1f} s ({own:.1f} s of processor), "
                   f"{len(film) / 1e6:.1f} MB", flush=True)  # fmt: skip
             if out is not None and ending == GIF:
@@ -107,6 +100,4 @@ def run(out: Path | None) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path)
-    run(parser.parse_args().out)
+    commands(__doc__, main)

@@ -22,10 +22,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-KINDS = {
-    "oven": "oven.OvenFactory",
-    "beveragefridge": "beverage_fridge.BeverageFridgeFactory",
-}
+KINDS = {"oven": "oven.OvenFactory", "beveragefridge": "beverage_fridge.BeverageFridgeFactory"}
 """Module and factory of each appliance in Infinigen."""
 OPEN = 1.0
 """Opening of the door in the second mesh [rad]."""

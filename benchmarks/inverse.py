@@ -22,6 +22,7 @@ from momapos.model.robots import library_names, load_robot
 from momapos.model.robots.amended_urdf import Amendments
 from momapos.model.urdf import Articulated
 from momapos.model.urdf.reader import Mimic
+from rows import commands
 
 
 @dataclass(frozen=True)
@@ -152,4 +153,4 @@ def found_of(chain: Chain, count: int) -> Found:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    commands(__doc__, main)

@@ -10,12 +10,10 @@ of each task. Processor time by stage of the second of two answers, with warm ca
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,9 +23,8 @@ from momapos.apps.bench import all_rows, method_config, read_folder
 from momapos.apps.bench.bench_records import SuiteTask
 from momapos.apps.bench.folder import scene_path
 from momapos.apps.bench.methods import without
-from momapos.core import Stopwatch, default_cache_dir
-from momapos.model.robots import load_robot
-from momapos.model.scene import Scene, load_scene
+from momapos.core import Stopwatch
+from momapos.model.scene import load_scene
 from momapos.planning import (
     PipelineConfig,
     PlacementQuery,
@@ -37,9 +34,8 @@ from momapos.planning import (
 )
 from momapos.planning.grasps import make_task, task_motion
 from momapos.planning.placement import search_in_order
-from momapos.planning.reachability import load_reach_map
-from placement import machine
-from rows import keep_rows
+from placement import arm, machine
+from rows import commands, keep_rows, markdown
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,12 +44,6 @@ TIMEOUT = 20.0
 """Processor time for one answer [s]."""
 PLAIN = method_config("m3", TIMEOUT)
 """Without departure check and cost terms, as for every method but ours."""
-
-
-@lru_cache(maxsize=16)
-def room(path: Path) -> Scene:
-    """Load a scene of the suite, cached as in a worker of the benchmark."""
-    return load_scene(path)
 
 
 def answer_from(query: PlacementQuery, base: Float[np.ndarray, "3"]) -> PlacementResult:
@@ -83,9 +73,8 @@ def measure(folder: Path, task: SuiteTask, methods: Sequence[str]) -> dict[str, 
 
     Empty if a method does not solve the task.
     """
-    robot = load_robot(task.robot)
-    reach = load_reach_map(robot, default_cache_dir(), None)
-    scene = room(scene_path(folder, task.scene)).with_joints(task.joints)
+    robot, reach = arm(task.robot)
+    scene = load_scene(scene_path(folder, task.scene)).with_joints(task.joints)
     scene = without(scene, task.carried) if task.carried else scene
     wanted = make_task(scene, task.verb, task.object, task.joint, task.to)
     start = None if task.start is None else np.array(task.start)
@@ -123,36 +112,40 @@ def report(measured: Sequence[dict[str, dict[str, float]]]) -> str:
             columns[name].append(timing)
     stages = dict.fromkeys(stage for timings in columns.values() for t in timings for stage in t)
     names = ["total", *(stage for stage in stages if stage != "total")]
-    lines = [f"| | {' | '.join(names)} |", f"|{'---|' * (len(names) + 1)}"]
-    for name, timings in columns.items():
-        cells = [1000 * np.median([t.get(stage, 0.0) for t in timings]) for stage in names]
-        lines.append(f"| {name} | {' | '.join(f'{cell:.1f} ms' for cell in cells)} |")
-    return "\n".join(lines)
+    lines = [
+        (
+            name,
+            *(f"{1000 * np.median([t.get(stage, 0.0) for t in some]):.1f} ms" for stage in names),
+        )
+        for name, some in columns.items()
+    ]
+    return markdown(["", *names], lines)
 
 
-def main() -> None:
-    """Run and print Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--methods", nargs="+", default=["ours", "m3"])
-    parser.add_argument(
-        "--limit", type=int, default=60, help="number of tasks, spaced evenly over all"
-    )
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
-    contents = read_folder(args.folder)
-    unsolved = {row.task for row in all_rows(args.folder) if row.outcome != "solved"}
+def main(
+    folder: Path, methods: tuple[str, ...] = ("ours", "m3"), limit: int = 60,
+    out: Path | None = None,
+) -> None:  # fmt: skip
+    """Measure the tasks that all methods solve.
+
+    Args:
+        folder: Results of `momapos bench run`.
+        methods: Methods of the run.
+        limit: Number of tasks, spaced evenly over all.
+        out: Folder for least_time.json.
+    """
+    unsolved = {row.task for row in all_rows(folder) if row.outcome != "solved"}
     tasks = [
         task
-        for task in contents.suite.tasks
+        for task in read_folder(folder).suite.tasks
         if task.joint is not None and task.inside is None and task.name not in unsolved
     ]
-    tasks = [tasks[k] for k in np.unique(np.linspace(0, len(tasks) - 1, args.limit).astype(int))]
-    measured = [found for task in tasks if (found := measure(args.folder, task, args.methods))]
+    tasks = [tasks[k] for k in np.unique(np.linspace(0, len(tasks) - 1, limit).astype(int))]
+    measured = [found for task in tasks if (found := measure(folder, task, methods))]
     print(f"machine: {machine()}; {len(measured)} of {len(tasks)} tasks, processor time\n")
     print(report(measured))
-    keep_rows(measured, args.out, "least_time")
+    keep_rows(measured, out, "least_time")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -11,7 +11,6 @@ counted once.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -20,13 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from momapos.apps.synthetic_scans import DepthSensor, synthetic_scan, write_scan
 from momapos.core import MomaposError
 from momapos.core.geometry import apply
 from momapos.model.scene import Scene, SceneObject
 from momapos.perception import default_tools
 from momapos.perception.recordings import read_scan
 from momapos.workflows import scan_to_scene
+from rows import commands
+from scan import scanned
 from scan_objects import Place, kitchen
 
 OBJECTS = 10
@@ -209,23 +209,25 @@ def nearest(place: Place, point: np.ndarray) -> str:
     return min(place.objects.values(), key=away)[0]
 
 
-def main() -> None:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rooms", type=int, default=2)
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first room")
-    parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--folder", type=Path, default=Path("bench_out/no_fronts"))
-    args = parser.parse_args()
+def main(
+    rooms: int = 2, seed: int = 0, frames: int = 100, folder: Path = Path("bench_out/no_fronts")
+) -> None:
+    """Count false parts.
+
+    Args:
+        rooms: Number of rooms.
+        seed: Seed of the first room.
+        frames: Number of images of a scan.
+        folder: Folder of the scans.
+    """
     tools, false, seen = default_tools(), Counter[str](), 0
-    for seed in range(args.seed, args.seed + args.rooms):
-        place = room(seed)
-        home = args.folder / place.name
-        if not (home / "scan").exists():
-            scan = synthetic_scan(place.scene, frames=args.frames, seed=seed, sensor=DepthSensor())
-            write_scan(scan, home / "scan")
+    for number in range(seed, seed + rooms):
+        place = room(number)
+        scan = scanned(place.scene, folder / place.name / "scan", frames, number)
         try:
-            result = scan_to_scene(read_scan(home / "scan"), home / "found" / "scene.json", tools)
+            result = scan_to_scene(
+                read_scan(scan), folder / place.name / "found" / "scene.json", tools
+            )
         except MomaposError as error:
             print(f"{place.name}: {error}", file=sys.stderr)
             continue
@@ -241,4 +243,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -697,7 +697,7 @@ def large(objects: int = 1000, points: int = 2_000_000) -> None:
 
     After the first load only changes may be sent. The bytes of rest, dragging the base, playing a
     motion, another active object, and more points of the scan are printed separately, with the
-    number of meshes and clouds. page_pictures.py measures the time of a frame.
+    number of meshes and clouds.
 
     Args:
         objects: Number of boxes around the kitchen.

@@ -11,7 +11,6 @@ Kitchens are scanned by the synthetic scanner.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import tempfile
 import time
@@ -42,17 +41,12 @@ from momapos.perception.fusion import align_to_gravity, fuse
 from momapos.perception.pipeline import split_rows
 from momapos.perception.reconstruction import FrontNetwork
 from momapos.perception.recordings import read_scan
-from momapos.perception.segmentation import (
-    ClassicalSegmenter,
-    PixelOf,
-    find_room,
-    pointed_at,
-)
+from momapos.perception.segmentation import ClassicalSegmenter, PixelOf, find_room, pointed_at
 from momapos.perception.segmentation import boxes as instance_boxes
 from momapos.perception.views import Face
 from momapos.workflows import scan_to_scene
 from placement import SCENES, scene_of
-from rows import commands
+from rows import child, commands
 from scan import scanned
 
 FURNITURE = ("fridge", "oven", "dishwasher", "microwave", "table")
@@ -296,23 +290,6 @@ def boxes(folder: Path, count: int = 20, frames: int = 50, shared: bool = False)
     print("median seconds", stages, "to boxes, before rows are cut:", to_boxes)
 
 
-def made_by_command(walk: Path, out: Path) -> tuple[float, float, float]:
-    """Run the command.
-
-    Returns:
-        Wall time [s], processor time [s] and peak memory [GB].
-    """
-    words = ["scan", str(walk), "--out", str(out), "--json"]
-    code = f"import sys; from momapos.apps.cli.main import main; sys.exit(main({words!r}))"
-    began = time.perf_counter()
-    child = os.spawnv(os.P_NOWAIT, sys.executable, [sys.executable, "-c", code])
-    _, status, used = os.wait4(child, 0)
-    took = time.perf_counter() - began
-    if status:
-        sys.exit(f"{walk}: momapos scan ended with {os.waitstatus_to_exitcode(status)}")
-    return took, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e6
-
-
 def walk(
     folder: Path, frames: tuple[int, ...] = (100, 1000), scene: str = "kitchen_small", seed: int = 0
 ) -> None:
@@ -331,7 +308,10 @@ def walk(
         home = folder / f"{Path(scene).stem}_{number}_{seed}"
         scanned(load_scene(scene), home, number, seed)
         out = home.with_name(f"{home.name}_found") / "scene.json"
-        took, busy, memory = made_by_command(home, out)
+        words = ["scan", str(home), "--out", str(out), "--json"]
+        status, took, busy, memory = child([sys.executable, "-m", "momapos", *words])
+        if status:
+            sys.exit(f"{home}: momapos scan ended with {status}")
         made = load_scene(out)
         joints = sum(len(item.model.joints) for item in made.objects)
         report = json.loads((out.parent / "scan_report.json").read_text())

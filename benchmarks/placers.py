@@ -12,25 +12,22 @@ first pose that it proposes.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from momapos.core import MomaposError, default_cache_dir
-from momapos.model.records import ReachScorer, Task
-from momapos.model.robots import Robot, load_robot
+from momapos.core import MomaposError
+from momapos.model.records import Task
 from momapos.model.scene import Scene, builtin_names
-from momapos.planning import PipelineConfig, PlacementResult, plan_by_method
+from momapos.planning import PipelineConfig, plan_by_method
 from momapos.planning.grasps import make_task, openable, slides
 from momapos.planning.placement import Method, PlaceConfig
-from momapos.planning.reachability import load_reach_map
 from momapos.verification import PlanVerifier
-from placement import machine, scene_of
+from placement import arm, machine, scene_of
+from rows import commands, emit, keep_rows, markdown
 
 METHODS = tuple(method for method in get_args(Method) if method != "exhaustive")
 KINDS = ("door", "drawer", "pick")
@@ -52,21 +49,21 @@ def tasks_of(scene: Scene) -> Iterator[tuple[str, str, Task]]:
 
 
 def answer_row(
-    scene: Scene, robot: Robot, task: Task, reach: ReachScorer, method: Method,
-    *, seed: int, timeout: float,
-) -> dict[str, Any]:  # fmt: skip
+    scene: Scene, of_robot: str, task: Task, method: Method, *, seed: int, timeout: float
+) -> dict[str, Any]:
     """Plan one task and return a row."""
     config = PipelineConfig(place=PlaceConfig(method=method), timeout=timeout)
-    clock = time.process_time  # a busy machine gives no method less time
+    clock, (robot, reach) = time.process_time, arm(of_robot)  # a busy machine gives no less time
     began = clock()
     answer = plan_by_method(scene, robot, task, reach, config=config, seed=seed, clock=clock)
+    search = answer.search
     row = {
         "method": method,
         "status": answer.plan.status,
         "seconds": clock() - began,
         "cost": answer.plan.navigation_cost,
-        "checked": answer.search.checked,
-        "first": _from_the_first_pose(answer),
+        "checked": search.checked,
+        "first": search.base is not None and bool((search.poses[0][0] == search.base).all()),
     }
     if answer.plan.motion is not None and answer.plan.base_pose is not None:
         report = PlanVerifier(scene, robot, task).check(answer.plan.base_pose, answer.plan.motion)
@@ -74,99 +71,90 @@ def answer_row(
     return row
 
 
-def _from_the_first_pose(answer: PlacementResult) -> bool:
-    """Return whether the feasible pose is the first that was proposed."""
-    search = answer.search
-    return search.base is not None and bool((search.poses[0][0] == search.base).all())
-
-
-def run(
-    robots: list[str], scenes: list[str], methods: list[Method], *, seed: int, timeout: float
-) -> Iterator[dict[str, Any]]:
+def rows_of(
+    robots: Sequence[str], scenes: Sequence[str], methods: Sequence[Method], seed: int,
+    timeout: float,
+) -> Iterator[dict[str, Any]]:  # fmt: skip
     """Yield all rows: the grid's first, then the methods' if the grid has an answer."""
-    for robot_name in robots:
-        robot = load_robot(robot_name)
-        reach, warm = load_reach_map(robot, default_cache_dir(), None), False
-        for scene_name in scenes:
-            scene = scene_of(scene_name)
-            for kind, name, task in tasks_of(scene):
-                common = {"robot": robot_name, "scene": scene.name, "kind": kind, "task": name}
-                try:
-                    grid = answer_row(
-                        scene, robot, task, reach, "exhaustive", seed=seed, timeout=GRID_TIMEOUT
-                    )
-                except MomaposError:  # for example an object that is too large for the hand
-                    continue
-                yield common | grid
-                if grid["status"] != "solved":
-                    continue
-                if not warm:
-                    for method in methods:
-                        answer_row(scene, robot, task, reach, method, seed=seed, timeout=timeout)
-                    warm = True
-                for method in methods:
-                    row = answer_row(scene, robot, task, reach, method, seed=seed, timeout=timeout)
-                    yield common | row | {"cheapest": grid["cost"]}
+    for of_robot in robots:
+        warm = False
+        every = ((room, *one) for room in map(scene_of, scenes) for one in tasks_of(room))
+        for scene, kind, name, task in every:
+            common = {"robot": of_robot, "scene": scene.name, "kind": kind, "task": name}
+            try:
+                grid = answer_row(
+                    scene, of_robot, task, "exhaustive", seed=seed, timeout=GRID_TIMEOUT
+                )
+            except MomaposError:  # for example an object that is too large for the hand
+                continue
+            yield common | grid
+            if grid["status"] != "solved":
+                continue
+            for _ in range(1 if warm else 2):  # the first answers load the kernels
+                rows = [
+                    answer_row(scene, of_robot, task, method, seed=seed, timeout=timeout)
+                    for method in methods
+                ]
+            warm = True
+            yield from (common | row | {"cheapest": grid["cost"]} for row in rows)
 
 
 def report(rows: list[dict[str, Any]]) -> str:
     """Summarize as Markdown."""
     grid = [r for r in rows if r["method"] == "exhaustive"]
     can = [r for r in grid if r["status"] == "solved"]
-    lines = [
-        f"machine: {machine()}; {len(grid)} tasks, {len(can)} of which the grid solves",
-        "",
-        "| method | doors | drawers | picks | from its first pose | time, median | 95th percentile "
-        "| full checks, mean | driving, median | over the cheapest |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    lines = []
     for method in dict.fromkeys(r["method"] for r in rows if r["method"] != "exhaustive"):
         mine = [r for r in rows if r["method"] == method]
         solved = [r for r in mine if r["status"] == "solved"]
         if not all(r["valid"] for r in solved):
             raise AssertionError(f"{method}: a plan is not valid in the whole room")
-        kinds = " | ".join(_share([r for r in mine if r["kind"] == kind]) for kind in KINDS)
-        seconds = np.array([r["seconds"] for r in mine])
+        kinds = [_share([r for r in mine if r["kind"] == kind]) for kind in KINDS]
+        # Ours has no first pose, since it compares all samples of a round.
+        first = "-" if method == "ours" else f"{sum(r['first'] for r in mine)} of {len(mine)}"
+        times = [
+            f"{np.percentile([r['seconds'] for r in mine], share):.2f} s" for share in (50, 95)
+        ]
         cost = np.array([r["cost"] for r in solved])
         over = cost - np.array([r["cheapest"] for r in solved])
-        driving = f"{np.median(cost):.2f} m | {np.median(over):+.2f} m" if len(solved) else "- | -"
-        lines.append(
-            f"| {method} | {kinds} | {_first(mine)} "
-            f"| {np.median(seconds):.2f} s | {np.percentile(seconds, 95):.2f} s "
-            f"| {np.mean([r['checked'] for r in mine]):.1f} | {driving} |"
+        driving = (
+            (f"{np.median(cost):.2f} m", f"{np.median(over):+.2f} m") if solved else ("-", "-")
         )
-    return "\n".join(lines)
+        checks = f"{np.mean([r['checked'] for r in mine]):.1f}"
+        lines.append((method, *kinds, first, *times, checks, *driving))
+    head = ("method", "doors", "drawers", "picks", "from its first pose", "time, median",
+            "95th percentile", "full checks, mean", "driving, median",
+            "over the cheapest")  # fmt: skip
+    count = f"{len(grid)} tasks, {len(can)} of which the grid solves"
+    return f"machine: {machine()}; {count}\n\n{markdown(head, lines)}"
 
 
 def _share(rows: list[dict[str, Any]]) -> str:
     return f"{sum(r['status'] == 'solved' for r in rows)} of {len(rows)}"
 
 
-def _first(rows: list[dict[str, Any]]) -> str:
-    """Format the count of first poses; ours has none, since it compares all samples of a round."""
-    ours = rows[0]["method"] == "ours"
-    return "-" if ours else f"{sum(r['first'] for r in rows)} of {len(rows)}"
+def main(
+    robots: tuple[str, ...] = ("segway_ur5e",), scenes: tuple[str, ...] = tuple(builtin_names()),
+    methods: tuple[Method, ...] = METHODS, seed: int = 0, timeout: float = 20.0,
+    out: Path = Path("bench_out"),
+) -> None:  # fmt: skip
+    """Compare methods.
 
-
-def main() -> None:
-    """Run and report."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", nargs="+", default=["segway_ur5e"])
-    parser.add_argument("--scenes", nargs="+", default=list(builtin_names()))
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--timeout", type=float, default=20.0)
-    parser.add_argument("--out", type=Path, default=Path("bench_out"))
-    args = parser.parse_args()
+    Args:
+        robots: Robots of the library.
+        scenes: Built-in kitchens, or scenes of the real data.
+        methods: Methods to compare with the grid.
+        seed: Seed of all answers.
+        timeout: Time limit of an answer [s].
+        out: Folder for placers.json.
+    """
     rows = []
-    for row in run(args.robots, args.scenes, args.methods, seed=args.seed, timeout=args.timeout):
+    for row in rows_of(robots, scenes, methods, seed, timeout):
         rows.append(row)
-        print(json.dumps(row), flush=True)
+        emit(row)
     print(report(rows))
-    args.out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"machine": machine(), "seed": args.seed, "rows": rows}, indent=1)
-    (args.out / "placers.json").write_text(text + "\n")
+    keep_rows({"machine": machine(), "seed": seed, "rows": rows}, out, "placers")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -10,11 +10,9 @@ pose; the others fill the ball around the shoulder that the tool can reach.
 from __future__ import annotations
 
 import os
-import platform
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import tyro
@@ -34,17 +32,8 @@ from momapos.planning.reachability import (
 )
 from momapos.planning.reachability.construct import build_map
 from momapos.planning.reachability.map_store import decode, random_poses
-
-
-def machine() -> str:
-    """Return the name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        name = platform.processor() or platform.machine()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    return f"{name}, {os.cpu_count()} cores, load {load:.1f}"
+from placement import machine
+from rows import commands
 
 
 def main(
@@ -61,7 +50,7 @@ def main(
     # Compile first, and print the time.
     began = time.perf_counter()
     build_map(load_robot("husky_ur5e"), tiny)
-    print(machine())
+    print(f"{machine()}, load {os.getloadavg()[0]:.1f}")
     print(
         f"compiling or loading the kernels, and a tiny map: {time.perf_counter() - began:.1f} s\n"
     )
@@ -154,4 +143,4 @@ def best(work: Callable[[], object], times: int = 7) -> float:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    commands(__doc__, main)

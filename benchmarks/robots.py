@@ -41,7 +41,7 @@ from momapos.planning.reachability import ReachMap, encode, evaluate, load_reach
 from momapos.workflows import run_plan
 from objects import Subset
 from placement import CONFIG, SCENES, machine, scene_of
-from rows import commands
+from rows import child, commands
 
 SEEN = ("allegro_hand", "baxter", "frankie", "panda", "pr2", "tiago_no_hand", "ur10")
 """Robots that the hash puts into the test set but that were examined, or whose results led to a
@@ -165,32 +165,14 @@ MODELS = (
 
 def process(words: list[str], limit: int = LIMIT) -> Outcome:
     """Run Python in a separate process."""
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
-        child = subprocess.Popen(
+        status, wall, spent, memory = child(
             [sys.executable, *words], stdout=out, stderr=subprocess.STDOUT,
             preexec_fn=partial(resource.setrlimit, resource.RLIMIT_CPU, (limit, limit)),
         )  # fmt: skip
-        most, status = 0.0, None
-        while status is None:
-            try:
-                status = child.wait(0.2)
-            except subprocess.TimeoutExpired:
-                most = max(most, _resident(child.pid))
         out.seek(0)
         lines = [line.rstrip() for line in out if line.strip()]
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Outcome(status, used, time.monotonic() - began, most, lines[-1] if lines else "")
-
-
-def _resident(pid: int) -> float:
-    """Return the peak memory of a running process [GB]; 0 if unknown."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return max((int(x.split()[1]) / 1e6 for x in lines if x.startswith("VmHWM")), default=0.0)
+    return Outcome(status, spent, wall, memory, lines[-1] if lines else "")
 
 
 def checked(model: Model, site: Path, folder: Path) -> list[tuple[str, Outcome]]:

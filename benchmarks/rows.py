@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,24 @@ def commands(doc: str | None, *functions: Callable[..., Any]) -> Any:
     if len(functions) == 1:
         return tyro.cli(functions[0], description=doc, config=config)
     return tyro.extras.subcommand_cli_from_dict(named, description=doc, config=config)
+
+
+def child(command: Sequence[str], **options: Any) -> tuple[int, float, float, float]:
+    """Run a command.
+
+    Args:
+        command: The command.
+        options: As for `subprocess.Popen`.
+
+    Returns:
+        Exit status, wall time [s], processor time [s] and peak memory [GB] with its own children.
+    """
+    began = time.perf_counter()
+    process = subprocess.Popen(command, **options)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    took, spent = time.perf_counter() - began, used.ru_utime + used.ru_stime
+    return process.returncode, took, spent, used.ru_maxrss / 1e6
 
 
 def emit(row: Any) -> None:

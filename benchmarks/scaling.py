@@ -8,22 +8,18 @@ boxes on the floor of a hall around the kitchen.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from momapos.core import default_cache_dir
-from momapos.core.geometry import pose
-from momapos.model.robots import load_robot
 from momapos.model.scene import Scene, SceneObject, load_scene
-from momapos.model.urdf import Articulated, box_urdf
 from momapos.planning import PipelineConfig, plan_base_placement
 from momapos.planning.grasps import MotionConfig, make_task
 from momapos.planning.placement import PlaceConfig
-from momapos.planning.reachability import load_reach_map
+from placement import arm
+from rows import commands
 
 REPEATS = 5
 LABELS = {
@@ -43,19 +39,18 @@ def crowd(scene: Scene, count: int) -> Scene:
         x, y = np.array([2.0, -2.0]) + rng.uniform(4.0, 6.0) * np.array(
             [np.cos(angle), np.sin(angle)]
         )
-        size = tuple(rng.uniform(0.1, 0.5, 3))
-        model = Articulated(box_urdf(f"box_{i}", size))
-        more.append(SceneObject(f"box_{i}", "box", pose((x, y, size[2] / 2)), model))
+        size = rng.uniform(0.1, 0.5, 3)
+        more.append(SceneObject.box(f"box_{i}", size, (x, y, size[2] / 2), category="box"))
     return replace(scene, objects=(*scene.objects[: max(count, 1)], *more), floor_polygon=None)
 
 
-def main() -> None:
-    """Measure the three curves, print them, and draw them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
-    robot = load_robot("segway_ur5e")
-    reach = load_reach_map(robot, default_cache_dir())
+def main(out: Path | None = None) -> None:
+    """Measure the three curves, print them, and draw them.
+
+    Args:
+        out: PNG file.
+    """
+    robot, reach = arm("segway_ur5e")
     kitchen = load_scene("kitchen_small")
 
     def seconds(scene: Scene, config: PipelineConfig) -> float:
@@ -81,8 +76,8 @@ def main() -> None:
     }
     for name, curve in curves.items():
         print(f"{name:<10}" + "  ".join(f"{n}: {1000 * t:.0f} ms" for n, t in curve.items()))
-    if args.out:
-        draw(curves, args.out)
+    if out:
+        draw(curves, out)
 
 
 def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
@@ -111,4 +106,4 @@ def draw(curves: dict[str, dict[int, float]], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)

@@ -6,18 +6,17 @@ copy of the source tree without caches) and from a wheel that is built and unpac
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import resource
 import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
+
+from rows import child, commands
 
 ROOT = Path(__file__).parents[1]
 PLACE = ["place", "open", "kitchen_small", "fridge/door_hinge", "--robot", "segway_ur5e"]
@@ -34,33 +33,17 @@ WARM = (
 
 
 def processor_time(command: list[str], source: Path, cache: Path) -> float:
-    """Return the processor time of a momapos command with the package in `source` [s].
-
-    Raises:
-        subprocess.CalledProcessError: The command failed.
-    """
+    """Return the processor time of a momapos command with the package in `source` [s]."""
     paths = [str(source), os.environ.get("PYTHONPATH", "")]
     # Without stored byte code, Python would compile all modules at every start.
-    kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    environment = {
-        **kept,
-        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
-        "MOMAPOS_CACHE": str(cache),
-    }
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    environment |= {"PYTHONPATH": os.pathsep.join(filter(None, paths)), "MOMAPOS_CACHE": str(cache)}
     call = [sys.executable, "-c", "from momapos.apps.cli.main import entry; entry()", *command]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(call, env=environment, cwd=cache.parent, check=True, capture_output=True)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def warm(command: list[str], folder: Path, repeats: int) -> float:
-    """Return the median of some runs after one that is not counted [s]."""
-    cache = folder / "cache"
-    plan = folder / "plan.json"
-    command = [str(plan) if word == "PLAN" else word for word in command]
-    times = [processor_time(command, ROOT / "src", cache) for _ in range(repeats + 1)]
-    return statistics.median(times[1:])
+    null = subprocess.DEVNULL
+    status, _, spent, _ = child(call, env=environment, cwd=cache.parent, stdout=null, stderr=null)
+    if status:
+        sys.exit(f"momapos {' '.join(command)}: exit status {status}")
+    return spent
 
 
 def first_from_clone(folder: Path) -> float:
@@ -87,31 +70,29 @@ def first_from_wheel(folder: Path) -> float | None:
     return processor_time(PLACE, folder / "site", folder / "wheel_cache")
 
 
-def measure(repeats: int) -> Mapping[str, float | None]:
-    """Return the time of each command [s]."""
+def main(repeats: int = 3, out: Path | None = None) -> None:
+    """Print the table, and optionally write it.
+
+    Args:
+        repeats: Number of runs of a warm command.
+        out: JSON file for the times.
+    """
+    found: dict[str, float | None] = {}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        processor_time([*PLACE, "--out", str(folder / "plan.json")], ROOT / "src", folder / "cache")
-        found: dict[str, float | None] = {}
+        folder, source = Path(name), ROOT / "src"
+        plan, cache = str(folder / "plan.json"), folder / "cache"
+        processor_time([*PLACE, "--out", plan], source, cache)
         for command in WARM:
-            found[" ".join(command)] = warm(command, folder, repeats)
+            words = [plan if word == "PLAN" else word for word in command]
+            times = [processor_time(words, source, cache) for _ in range(repeats + 1)]
+            found[" ".join(command)] = statistics.median(times[1:])
         found["first place, clone"] = first_from_clone(folder)
         found["first place, wheel"] = first_from_wheel(folder)
-        return found
-
-
-def main() -> None:
-    """Print the table, and optionally write it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3, help="number of runs of a warm command")
-    parser.add_argument("--out", type=Path, help="JSON file for the times")
-    args = parser.parse_args()
-    found = measure(args.repeats)
-    for name, seconds in found.items():
-        print(f"{name:<66} {'-' if seconds is None else f'{seconds:6.2f} s'}")
-    if args.out is not None:
-        args.out.write_text(json.dumps(found, indent=1) + "\n")
+    for label, seconds in found.items():
+        print(f"{label:<66} {'-' if seconds is None else f'{seconds:6.2f} s'}")
+    if out is not None:
+        out.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    commands(__doc__, main)
