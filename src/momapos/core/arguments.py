@@ -9,7 +9,16 @@ from collections.abc import Hashable, Sequence
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 
@@ -20,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
+UNIONS = (Union, types.UnionType)
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _SEVERAL = {int: "whole numbers", float: "numbers", str: "words"}
 
@@ -199,15 +209,38 @@ def refuse_above(config: object, most: int, *names: str) -> None:
 def type_words(kind: Any) -> str:
     """Return the values that an annotation allows, in words."""
     origin, args = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return type_words(args[0]) + _bounds_words(args[1])
     if origin is Literal:
-        return f"one of {', '.join(map(str, args))}"
-    if origin in (Union, types.UnionType):
-        inner = [type_words(one) for one in args if one is not type(None)]
+        return f"one of {', '.join(map(str, args))}" if len(args) > 1 else repr(args[0])
+    if origin in UNIONS:
+        left_out = (type(None), msgspec.UnsetType)
+        inner = [type_words(one) for one in args if one not in left_out]
         return " or ".join([*inner, *(["none"] if type(None) in args else [])])
-    if origin is tuple:
-        several = _SEVERAL.get(args[0], "") or f"words, each {type_words(args[0])}"
-        return several if args[-1] is ... else f"{len(args)} {several}"
+    if origin in (tuple, list):
+        item, bounds = args[0], ""
+        if get_origin(item) is Annotated:
+            item, bounds = item.__origin__, _bounds_words(item.__metadata__[0])
+        several = _SEVERAL.get(item) or f"values, each {type_words(item)}"
+        count = "" if origin is list or args[-1] is ... else f"{len(args)} "
+        return f"{count}{several}{bounds}"
+    if args:
+        return f"{{name: {type_words(args[1])}}}"
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        members = msgspec.structs.fields(kind)
+        names = [f"{one.encode_name}: ..." for one in members if one.required]
+        return f"{{{', '.join(names) or '...'}}}"
     return _WORDS.get(kind) or f"a {kind.__name__}"
+
+
+def _bounds_words(meta: msgspec.Meta) -> str:
+    bounds = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
+    words = [f"{sign} {bound:g}" for sign, bound in bounds if bound is not None]
+    if meta.max_length is not None:
+        words = [f"of length {meta.min_length or 0} to {meta.max_length}"]
+    elif meta.min_length is not None:
+        words = [f"of length >= {meta.min_length}"]
+    return f" {' and '.join(words)}" if words else ""
 
 
 def shown(value: object) -> str:

@@ -153,8 +153,12 @@ def test_a_car_whose_radius_nothing_tells_is_refused_with_what_is_missing(
     [
         ("min_turning_radius", "# ", "base.min_turning_radius is missing"),
         ("min_turning_radius = ", "min_turning_radius = -", "base.min_turning_radius must be"),
-        ('drive = "car"', 'drive = "omni"', 'base.min_turning_radius is for base.drive = "car"'),
-        ('drive = "car"', 'drive = "cart"', "it must be differential or omni or car"),
+        ('drive = "car"', 'drive = "omni"', 'base.min_turning_radius is for drive = "car"'),
+        (
+            'drive = "car"',
+            'drive = "cart"',
+            "drive must be one of differential, omni, car",
+        ),
     ],
 )
 def test_a_robot_file_gives_a_turning_radius_to_cars_only(

@@ -405,7 +405,7 @@ def test_missing_gripper_values_are_assumed_and_reported(urdf: Path) -> None:
     [
         ("force = -5", "tool.force must be a number > 0"),
         ('force = "strong"', "tool.force must be a number > 0"),
-        ('grips = "teeth"', "'teeth'; it must be fingers or suction or hook"),
+        ('grips = "teeth"', "grips must be one of fingers, suction, hook, not 'teeth'"),
     ],
 )
 def test_an_invalid_gripper_is_refused(urdf: Path, line: str, words: str) -> None:

@@ -98,7 +98,7 @@ def test_the_arm_moves_within_its_narrowest_limits(
     ("more", "words"),
     [
         ("\n[limits]\nj9 = { lower = 0.0 }\n", "j9"),
-        ("\n[limits]\nj3 = { speed = 1.0 }\n", "limits.j3.speed is unknown"),
+        ("\n[limits]\nj3 = { speed = 1.0 }\n", "limits.j3.speed is not known"),
         ("\n[limits]\nj3 = { velocity = -1.0 }\n", "velocity must be a number > 0"),
         ("\n[limits]\nj3 = { lower = 3.0 }\n", "lower limit 3 above upper limit"),
     ],

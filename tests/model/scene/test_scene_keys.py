@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from momapos.core.known_keys import keys_of
+from momapos.core.file_records import keys_of
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_keys import MAX_IGNORED_KEYS, ignored_keys
 from momapos.model.scene.scene_members import SceneFile

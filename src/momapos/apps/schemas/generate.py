@@ -53,10 +53,19 @@ def _scene() -> Schema:
 def _robot() -> Schema:
     from momapos.model.robots import RobotFile
 
-    made = _schema(RobotFile)
-    arm = ["tool_link", "arm_joints", "gripper_links", "home", "tool"]
-    made["$defs"]["RobotArm"]["required"] = arm
-    made["oneOf"] = [{"required": arm, "not": {"required": ["arms"]}}, {"required": ["arms"]}]
+    made = _closed(_schema(RobotFile))
+    arm = made["$defs"]["RobotArm"]
+    made["properties"] = arm["properties"] | made["properties"]
+    made["required"].remove("arms")
+    alone = {"required": arm["required"], "not": {"required": ["arms"]}}
+    made["oneOf"] = [alone, {"required": ["arms"]}]
+    return made
+
+
+def _closed(made: Schema) -> Schema:
+    """Allow no further members of a file's records, which the reader leaves out."""
+    for part in (made, *made["$defs"].values()):
+        part["additionalProperties"] = False
     return made
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
@@ -9,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,20 +32,14 @@ from momapos.model.urdf import Articulated, Boxes
 
 from .gripper_guess import FINGER, HAND
 from .robot_file import (
-    ANY,
-    TomlTable,
     amendments_of,
-    arm_tables,
     at_rest,
-    check_version,
     choose_arms,
-    ignored_keys,
     read_footprint,
-    read_table,
-    read_turning_radius,
-    resolve_path,
+    read_robot_file,
     srdf_of,
 )
+from .robot_members import ANY, Drive, RobotTool
 from .robot_names import find_robot, library_file
 from .srdf import read_srdf
 
@@ -53,8 +48,6 @@ if TYPE_CHECKING:
 
 MAX_REACH = 5.0
 """Maximum reach of an arm [m]; the size of maps and grids grows with its cube."""
-Drive = Literal["differential", "omni", "car"]
-DRIVES: tuple[Drive, ...] = ("differential", "omni", "car")
 ASSUMED_FORCE, ASSUMED_OPENING = 60.0, 0.08
 """Assumed finger force [N] and gripper opening [m] if the robot file does not state them."""
 
@@ -331,8 +324,7 @@ def load_arms(
         RobotError, FileFormatError, UnknownNameError: The robot is invalid; one line says why.
     """
     path = find_robot(source)
-    table = read_table(path)
-    names = choose_arms(arm_tables(table), arm, path)
+    names = choose_arms(read_robot_file(path), arm)
     return tuple(read_robot(path, arm=name or None, cache=cache) for name in names)
 
 
@@ -344,65 +336,63 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         arm: Name of the arm, for a robot with several; None for the first one.
         cache: Stores expensive geometry.
     """
-    table = read_table(path)
-    check_version(table)
-    arms = arm_tables(table)
-    (chosen,) = choose_arms(arms, arm, path)
-    own = arms[chosen]
-    urdf = resolve_path(path, table.text("urdf"))
-    record, text = amendments_of(table).read(urdf, cache)
+    read = read_robot_file(path)
+    file, base, arms = read.file, read.file.base, read.file.arms
+    (chosen,) = choose_arms(read, arm)
+    own, tool = arms[chosen], arms[chosen].tool
+    urdf = read.path_of(file.urdf)
+    record, text = amendments_of(read).read(urdf, cache)
     with _names_of(path):
-        model = at_rest(Articulated(record, cache=cache), table, arms, chosen)
-    base, tool = table.table("base"), own.table("tool")
-    srdf = srdf_of(table, urdf)
-    grips = Grip(tool.choice("grips", tuple(Grip), Grip.FINGERS))
+        model = at_rest(Articulated(record, cache=cache), read, chosen)
+    srdf = srdf_of(read, urdf)
     robot = Robot(
-        name=table.text("name"),
+        name=file.name,
         path=path,
         model=model,
-        base_link=table.text("base_link"),
-        tool_link=own.text("tool_link"),
-        arm_joints=tuple(own.texts("arm_joints")),
-        gripper_links=tuple(own.texts("gripper_links")),
-        home=own.vector("home"),
-        footprint=read_footprint(base, path, cache),
-        drive=base.choice("drive", DRIVES),  # type: ignore[arg-type]
-        min_turning_radius=read_turning_radius(base),
-        max_speed=base.positive("max_speed", 0.5),
-        max_yaw_rate=base.positive("max_yaw_rate", 1.0),
-        max_acceleration=base.positive("max_acceleration", 0.5),
-        max_yaw_acceleration=base.positive("max_yaw_acceleration", 1.0),
-        approach_axis=tool.unit("approach_axis"),
-        closing_axis=tool.unit("closing_axis"),
-        opening=tool.positive("opening", ASSUMED_OPENING),
-        grips=grips,
-        grip_force=tool.positive("force", ASSUMED_FORCE),
-        assumed=(*_assumed(tool, grips), *ignored_keys(table.data, path.name)),
+        base_link=file.base_link,
+        tool_link=own.tool_link,
+        arm_joints=tuple(own.arm_joints),
+        gripper_links=tuple(own.gripper_links),
+        home=np.array(own.home),
+        footprint=read_footprint(read, cache),
+        drive=base.drive,
+        min_turning_radius=base.min_turning_radius or 0.0,
+        max_speed=base.max_speed,
+        max_yaw_rate=base.max_yaw_rate,
+        max_acceleration=base.max_acceleration,
+        max_yaw_acceleration=base.max_yaw_acceleration,
+        approach_axis=_unit(tool.approach_axis),
+        closing_axis=_unit(tool.closing_axis),
+        opening=tool.opening or ASSUMED_OPENING,
+        grips=Grip(tool.grips),
+        grip_force=tool.force or ASSUMED_FORCE,
+        assumed=(*_assumed(tool, path), *read.ignored),
         disabled=frozenset() if srdf is None else read_srdf(srdf),
         srdf=srdf,
         arm=chosen,
         arms=() if "" in arms else tuple(arms),
         other_arms=tuple(
-            joint
-            for name, other in arms.items()
-            if name != chosen
-            for joint in other.texts("arm_joints")
+            joint for name, other in arms.items() if name != chosen for joint in other.arm_joints
         ),
-        payload=own.positive("payload", 0.0) if "payload" in own.data else None,
+        payload=own.payload,
         amended=text,
     )
     _check(robot)
     return robot
 
 
-def _assumed(tool: TomlTable, grips: Grip) -> tuple[str, ...]:
+def _unit(axis: tuple[float, ...]) -> Float[np.ndarray, "3"]:
+    return np.array(axis) / math.hypot(*axis)
+
+
+def _assumed(tool: RobotTool, path: Path) -> tuple[str, ...]:
     """Return the gripper values that a robot file leaves out, with their assumptions."""
     values = {"opening": f"{100 * ASSUMED_OPENING:g} cm", "force": f"{ASSUMED_FORCE:g} N"}
-    needed = {Grip.FINGERS: ("opening", "force"), Grip.SUCTION: ("force",), Grip.HOOK: ()}
+    needed = {"fingers": ("opening", "force"), "suction": ("force",), "hook": ()}
     return tuple(
-        f"the gripper's {key} is assumed to be {values[key]}: {tool.path} has no tool.{key}"
-        for key in needed[grips]
-        if key not in tool.data
+        f"the gripper's {key} is assumed to be {values[key]}: {path} has no tool.{key}"
+        for key in needed[tool.grips]
+        if getattr(tool, key) is None
     )
 
 

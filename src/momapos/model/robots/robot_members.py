@@ -1,33 +1,36 @@
-"""The members of a robot file: its schema, its list of members and its known keys follow.
+"""The members of a robot file: its checks, schema, list of members and known keys follow.
 
 Robot files are TOML. The schema describes the same members in JSON.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
 
-Triple = tuple[float, float, float]
+from momapos.core import FileRecord
+
+Number = Annotated[float, msgspec.Meta(gt=-1e6, lt=1e6)]
+Triple = tuple[Number, Number, Number]
 Positive = Annotated[float, msgspec.Meta(gt=0, lt=1e6)]
 Corner = Annotated[float, msgspec.Meta(ge=-5, le=5)]
-Name = Annotated[str, msgspec.Meta(min_length=1)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
 Edge = Annotated[float, msgspec.Meta(gt=0, le=5)]
+Drive = Literal["differential", "omni", "car"]
+ANY = "any"
+"""Name that stands for all arms."""
 
 
-class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A record without further members."""
-
-
-class RobotBase(_Strict):
+class RobotBase(FileRecord):
     """The mobile base."""
 
     footprint: Annotated[
         tuple[tuple[Corner, Corner], ...], msgspec.Meta(min_length=3, max_length=1000)
     ]
     """Outline of everything that does not move with the arm, seen from above: x, y [m]."""
-    drive: Literal["differential", "omni", "car"]
+    drive: Drive
     """How it drives: turning in place (differential), sideways too (omni), or on curves (car)."""
     min_turning_radius: Positive | None = None
     """Least radius of a car-like base, which needs it [m]."""
@@ -40,8 +43,17 @@ class RobotBase(_Strict):
     max_yaw_acceleration: Positive = 1.0
     """[rad/s^2]"""
 
+    def __post_init__(self) -> None:
+        if self.drive != "car" and self.min_turning_radius is not None:
+            raise ValueError('min_turning_radius is for drive = "car" only; remove it')
+        if self.drive == "car" and self.min_turning_radius is None:
+            raise ValueError(
+                "min_turning_radius is missing; a car-like base needs the least radius on which "
+                "base_link, at the middle of its fixed axle, can turn [m]"
+            )
 
-class RobotTool(_Strict):
+
+class RobotTool(FileRecord):
     """The gripper."""
 
     approach_axis: Triple
@@ -55,8 +67,13 @@ class RobotTool(_Strict):
     force: Positive | None = None
     """Force of each finger, or of the suction [N]."""
 
+    def __post_init__(self) -> None:
+        for name in ("approach_axis", "closing_axis"):
+            if math.hypot(*getattr(self, name)) <= 1e-9:
+                raise ValueError(f"{name} must be 3 numbers, not all 0")
 
-class RobotFrame(_Strict):
+
+class RobotFrame(FileRecord):
     """A frame that the URDF lacks."""
 
     parent: Name
@@ -67,7 +84,7 @@ class RobotFrame(_Strict):
     """[rad]"""
 
 
-class RobotMount(_Strict):
+class RobotMount(FileRecord):
     """A base that carries the arm, for the URDF of an arm alone: a box or a URDF."""
 
     box: tuple[Edge, Edge, Edge] | None = None
@@ -81,24 +98,29 @@ class RobotMount(_Strict):
     rpy: Triple = (0.0, 0.0, 0.0)
     """[rad]"""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.box is None) == (self.urdf is None):
+            raise ValueError("needs either box = [length, width, height] in m, or urdf")
 
-class RobotCoupling(_Strict):
+
+class RobotCoupling(FileRecord):
     """A joint that follows another one, which the URDF does not say."""
 
-    joint: str
+    joint: Name
     """The joint that it follows."""
-    ratio: float = 1.0
+    ratio: Number = 1.0
     """[-]"""
-    offset: float = 0.0
+    offset: Number = 0.0
     """[rad] or [m]"""
 
 
-class RobotLimits(_Strict):
+class RobotLimits(FileRecord, forbid_unknown_fields=True):
     """Limits that replace those of the URDF."""
 
-    lower: float | None = None
+    lower: Number | None = None
     """[rad] or [m]"""
-    upper: float | None = None
+    upper: Number | None = None
     """[rad] or [m]"""
     velocity: Positive | None = None
     """[rad/s] or [m/s]"""
@@ -106,18 +128,18 @@ class RobotLimits(_Strict):
     """[rad/s^2] or [m/s^2]"""
 
 
-class _ArmMembers(_Strict):
+class RobotArm(FileRecord):
     """An arm with its gripper."""
 
-    tool_link: Name | None = None
+    tool_link: Name
     """Link whose frame is the tool frame, between the fingertips."""
-    arm_joints: list[str] | None = None
+    arm_joints: list[str]
     """Joints from the base to the tool, in order."""
-    gripper_links: list[str] | None = None
+    gripper_links: list[str]
     """Links of the gripper, which may touch what it grasps."""
-    home: list[float] | None = None
+    home: list[Number]
     """Values of `arm_joints` while the base drives [rad] or [m]."""
-    tool: RobotTool | None = None
+    tool: RobotTool
     """The gripper at the end of the arm."""
     reach: Positive | None = None
     """Length from the first turning joint, for lists [m]."""
@@ -125,12 +147,11 @@ class _ArmMembers(_Strict):
     """Largest mass that the arm carries, with its tool [kg]."""
 
 
-class RobotArm(_ArmMembers):
-    """One of several arms with its gripper."""
+class RobotFile(FileRecord):
+    """A mobile base with one arm, or with several in `arms`.
 
-
-class RobotFile(_ArmMembers, kw_only=True):
-    """A mobile base with one arm, or with several in `arms`."""
+    The members of a single arm stand at the top; reading puts them into `arms`, by the name "".
+    """
 
     name: Name
     """Name of the robot."""
@@ -140,25 +161,30 @@ class RobotFile(_ArmMembers, kw_only=True):
     """Link on the floor, x forward, z up."""
     base: RobotBase
     """The mobile base."""
+    arms: Annotated[dict[str, RobotArm], msgspec.Meta(min_length=1, max_length=100)]
+    """Arms by name; then the members of an arm do not stand at the top."""
     version: Literal[1] = 1
     """Version of the format."""
-    srdf: str | None = None
+    srdf: Name | None = None
     """Path of an SRDF; by default the one next to the URDF with its name."""
-    arms: dict[str, RobotArm] = {}
-    """Arms by name; then the members of an arm do not stand at the top."""
-    rest: dict[str, float] = {}
+    rest: dict[str, Number] = {}
     """Values of joints that no arm moves [rad] or [m]."""
-    frames: dict[str, RobotFrame] = {}
+    frames: Annotated[dict[str, RobotFrame], msgspec.Meta(max_length=50)] = {}
     """Added frames by name."""
     mount: RobotMount | None = None
     """A base for an arm that has none in its URDF."""
-    packages: dict[str, str] = {}
+    packages: Annotated[dict[str, Name], msgspec.Meta(max_length=200)] = {}
     """Folders of ROS packages that the URDF names."""
-    coupled: dict[str, RobotCoupling] = {}
+    coupled: Annotated[dict[str, RobotCoupling], msgspec.Meta(max_length=100)] = {}
     """Followers by joint."""
-    limits: dict[str, RobotLimits] = {}
+    limits: Annotated[dict[str, RobotLimits], msgspec.Meta(max_length=100)] = {}
     """Replaced limits by joint."""
     schema: str | msgspec.UnsetType = msgspec.field(default=msgspec.UNSET, name="$schema")
     """Address of the file's JSON Schema, for editors."""
     visual_hulls: bool = False
     """Whether hulls of visual meshes stand in for missing collision elements."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if ANY in self.arms:
+            raise ValueError(f"arms must not have the name {ANY!r}, which means all arms")
