@@ -6,7 +6,7 @@ import math
 import os
 import types
 from collections.abc import Hashable, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import (
@@ -206,11 +206,11 @@ def refuse_above(config: object, most: int, *names: str) -> None:
             raise InputError(f"{field} must be at most {most}, not {value}")
 
 
-def type_words(kind: Any) -> str:
-    """Return the values that an annotation allows, in words."""
+def type_words(kind: Any, bounds: str = "") -> str:
+    """Return the values that an annotation allows, in words, which bounds follow."""
     origin, args = get_origin(kind), get_args(kind)
     if origin is Annotated:
-        return type_words(args[0]) + _bounds_words(args[1])
+        return type_words(args[0], _bounds_words(args[1]))
     if origin is Literal:
         return f"one of {', '.join(map(str, args))}" if len(args) > 1 else repr(args[0])
     if origin in UNIONS:
@@ -218,22 +218,25 @@ def type_words(kind: Any) -> str:
         inner = [type_words(one) for one in args if one not in left_out]
         return " or ".join([*inner, *(["none"] if type(None) in args else [])])
     if origin in (tuple, list):
-        item, bounds = args[0], ""
-        if get_origin(item) is Annotated:
-            item, bounds = item.__origin__, _bounds_words(item.__metadata__[0])
-        several = _SEVERAL.get(item) or f"values, each {type_words(item)}"
+        item = args[0]
+        if get_origin(item) is Annotated and item.__origin__ in _SEVERAL:
+            item, bounds = item.__origin__, bounds + _bounds_words(item.__metadata__[0])
         count = "" if origin is list or args[-1] is ... else f"{len(args)} "
-        return f"{count}{several}{bounds}"
+        if item in _SEVERAL:
+            return f"{count}{_SEVERAL[item]}{bounds}"
+        return f"{count or 'a list of '}values{bounds}, each {type_words(item)}"
     if args:
-        return f"{{name: {type_words(args[1])}}}"
+        return f"{{name: {type_words(args[1])}}}{bounds}"
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         members = msgspec.structs.fields(kind)
         names = [f"{one.encode_name}: ..." for one in members if one.required]
         return f"{{{', '.join(names) or '...'}}}"
-    return _WORDS.get(kind) or f"a {kind.__name__}"
+    return (_WORDS.get(kind) or ("{...}" if is_dataclass(kind) else f"a {kind.__name__}")) + bounds
 
 
 def _bounds_words(meta: msgspec.Meta) -> str:
+    if meta.ge is not None and meta.le is not None:
+        return f" from {meta.ge:g} to {meta.le:g}"
     bounds = ((">", meta.gt), (">=", meta.ge), ("<", meta.lt), ("<=", meta.le))
     words = [f"{sign} {bound:g}" for sign, bound in bounds if bound is not None]
     if meta.max_length is not None:

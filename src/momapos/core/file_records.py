@@ -77,7 +77,9 @@ def read_record(
 
 def dotted(parents: Parents) -> str:
     """Return where a value stands in a file: keys and names with dots, and indices."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part:.80}" for part in parents)[1:]
+    return "".join(
+        f"[{part}]" if isinstance(part, int) else f".{part:.80}" for part in parents
+    ).removeprefix(".")
 
 
 def _mistake(value: Any, kind: Any, parents: Parents) -> tuple[Parents, str]:
@@ -85,7 +87,10 @@ def _mistake(value: Any, kind: Any, parents: Parents) -> tuple[Parents, str]:
     inner = _inner(kind)
     members, args = _members(inner), get_args(inner)
     parts: Mapping[str | int, Any] = {}
-    if isinstance(value, Mapping) and members:
+    error = _refusal(value, kind)
+    if isinstance(error, msgspec.ValidationError) and " - at `" not in str(error):
+        pass  # the value itself is refused, such as a list of too many items
+    elif isinstance(value, Mapping) and members:
         parts = {name: members[name][0] for name in members if name in value}
     elif isinstance(value, Mapping) and args:
         parts = {ChosenName(name): args[1] for name in value}
@@ -105,7 +110,7 @@ def _mistake(value: Any, kind: Any, parents: Parents) -> tuple[Parents, str]:
         for name in value:
             if name not in members:
                 return (*parents, name), f"is not known; known are {', '.join(members)}"
-    words = str(_refusal(value, kind)).removeprefix(f"{inner.__name__}.")
+    words = str(error).removeprefix(f"{inner.__name__}.")
     name, _, rest = words.partition(" ")
     return ((*parents, name), rest) if name in members else (parents, words)
 
@@ -125,7 +130,10 @@ def _inner(kind: Any) -> Any:
         return _inner(get_args(kind)[0])
     if get_origin(kind) in UNIONS:
         inner = [_inner(one) for one in get_args(kind)]
-        return next((one for one in inner if _members(one) or get_args(one)), inner[0])
+        return next(
+            (one for one in inner if _members(one) or get_origin(one) in (dict, list, tuple)),
+            inner[0],
+        )
     return kind
 
 

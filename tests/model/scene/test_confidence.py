@@ -45,7 +45,7 @@ def test_confidences_of_parts_are_read_by_joint(tmp_path: Path, kitchen: Scene) 
     ("value", "error", "hint"),
     [
         ([], SceneError, "confidence must be"),
-        ({"object": 0.5}, SceneError, "'label' must be a number"),
+        ({"object": 0.5}, SceneError, "label is missing; it must be a number"),
         ({"object": 2, "label": 0}, SceneError, "a number from 0 to 1"),
         ({"object": True, "label": 0}, SceneError, "a number from 0 to 1"),
         ({"object": 0, "label": 0, "joints": [1]}, SceneError, "joints must be"),

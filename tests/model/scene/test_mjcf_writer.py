@@ -145,7 +145,7 @@ def test_an_untrusted_custom_text_is_checked(tmp_path: Path) -> None:
         ('{"floor"', "[", "is invalid"),
         ('"objects": {', '"objects": {"a": 1, ', "is invalid"),
         ("[[-3.0, -3.0]", "[[1e99, -3.0]", "floor"),
-        ('"trunk"', "[]", "category must be a printable string"),
+        ('"trunk"', "[]", "category must be text"),
     ):
         was, now = (words.replace('"', "&quot;") for words in (was, now))
         (tmp_path / "room.xml").write_text(text.replace(was, now, 1))

@@ -53,13 +53,13 @@ def test_a_scene_without_known_resistances_is_saved_as_before(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("resistance", "message"),
     [
-        ([], "resistance must be {joint: {...}}"),
-        ({"hinge": 3}, "resistance of 'hinge' must be a JSON object"),
+        ([], "resistance must be {name: {...}}"),
+        ({"hinge": 3}, "resistance: 'hinge' must be {...}"),
         ({"hinges": {}}, "no movable joint 'hinges'"),
         ({"hinges": {}}, "did you mean hinge"),
         ({"hinge": {"frictoin": 1}}, "did you mean friction"),
-        ({"hinge": {"mass": -1}}, "resistance of 'hinge': mass must be"),
-        ({"hinge": {"mass": "6kg"}}, "resistance of 'hinge': mass must be a number"),
+        ({"hinge": {"mass": -1}}, "resistance: 'hinge': mass must be"),
+        ({"hinge": {"mass": "6kg"}}, "resistance: 'hinge': mass must be a number"),
         ({"hinge": {"friction": 1e9}}, "friction must be"),
         ({"hinge": {"balanced": "yes"}}, "balanced must be true or false"),
     ],

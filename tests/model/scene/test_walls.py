@@ -127,18 +127,18 @@ def test_any_wall_survives_its_file(
 
 WRONG = {
     "no floor": ({"walls": "floor"}, 'walls: "floor" needs the outline of the floor'),
-    "another word": ({"walls": "all"}, 'walls must be "floor" or a list'),
-    "a number": ({"walls": [3]}, "walls: wall_1 must be"),
-    "no end": ({"walls": [{"from": [0, 0]}]}, "walls: wall_1: to must be 2 numbers"),
-    "a text": ({"walls": [{"from": [0, "0"], "to": [1, 1]}]}, "wall_1: from must be 2 numbers"),
+    "another word": ({"walls": "all"}, "walls must be 'floor' or a list"),
+    "a number": ({"walls": [3]}, "walls: wall 0 must be {from: ..., to: ...}"),
+    "no end": ({"walls": [{"from": [0, 0]}]}, "walls: wall 0: to is missing; it must be 2 numbers"),
+    "a text": ({"walls": [{"from": [0, "0"], "to": [1, 1]}]}, "wall 0: from must be 2 numbers"),
     "no length": ({"walls": [{"from": [1, 1], "to": [1, 1]}]}, "wall_1: .*is 0 m long"),
     "no height": (
-        {"walls": [{"from": [0, 0], "to": [1, 1], "height": 0}]}, "wall_1: height must be",
+        {"walls": [{"from": [0, 0], "to": [1, 1], "height": 0}]}, "wall 0: height must be",
     ),
     "thick": (
-        {"walls": [{"from": [0, 0], "to": [1, 1], "thickness": 1e4}]}, "wall_1: thickness must be",
+        {"walls": [{"from": [0, 0], "to": [1, 1], "thickness": 1e4}]}, "wall 0: thickness must be",
     ),
-    "far away": ({"walls": [{"from": [0, 0], "to": [1e9, 0]}]}, "wall_1: end must be within 10 km"),
+    "far away": ({"walls": [{"from": [0, 0], "to": [1e9, 0]}]}, "to must be 2 numbers from"),
     "crossing": (
         {"walls": [{"from": [0, 0], "to": [2, 2]}, {"from": [0, 2], "to": [2, 0]}]},
         r"wall_1 and wall_2 cross at \(1, 1\)",

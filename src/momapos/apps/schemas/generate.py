@@ -39,11 +39,10 @@ def schema_of(name: str) -> Schema:
 def _scene() -> Schema:
     from momapos.model.scene import SceneFile
 
-    made = _schema(SceneFile)
+    made = _closed(_schema(SceneFile))
     entry = made["$defs"]["SceneEntry"]
     entry["oneOf"] = [{"required": ["urdf"]}, {"required": ["box"]}]
     known = made["$defs"]["JointResistance"]
-    known["additionalProperties"] = False
     for name, member in known["properties"].items():
         if name != "balanced":
             member["anyOf"][0] |= {"minimum": 1e-6 if name in _NONZERO else 0, "maximum": 1e5}

@@ -14,6 +14,7 @@ from momapos.model.records import Latch
 from momapos.model.urdf import Articulated, Joint, opening_of
 
 from .scene import joint_value
+from .scene_members import SceneLatch
 from .scene_object import SceneObject
 
 if TYPE_CHECKING:
@@ -179,14 +180,12 @@ def part_values(
     return {joint: float(value), **turned}
 
 
-def read_latch(value: object, model: Articulated, where: str) -> Latch | None:
-    """Read the latch of an object, `{"joint": NAME, "to": VALUE, "holds": NAME}`.
-
-    The value is a number [rad] or [m], or a text with a unit such as "40deg". The joint that the
-    latch holds may be left out if only one moves the latch.
+def read_latch(latch: SceneLatch | None, model: Articulated, where: str) -> Latch | None:
+    """Return the latch of an object of a file.
 
     Args:
-        value: Content of the file; None if there is no latch.
+        latch: The member of the file; None if there is no latch. The joint that it holds may be
+            left out if only one moves the latch.
         model: The object.
         where: File and object, for messages.
 
@@ -194,19 +193,12 @@ def read_latch(value: object, model: Articulated, where: str) -> Latch | None:
         SceneError: The latch is unusable; the message says what would be right.
         UnknownNameError: The object has no such joint.
     """
-    if value is None:
+    if latch is None:
         return None
     where = f"{where}: latch"
-    if not isinstance(value, dict) or not isinstance(value.get("joint"), str):
-        raise SceneError(f'{where} must be {{"joint": NAME, "to": VALUE}}')
-    joint = _leader(value["joint"], model, where)
-    if "to" not in value:
-        raise SceneError(f"{where}: 'to' is missing; it is the value of {joint.name!r} that opens")
-    return Latch(
-        joint.name,
-        _value(value["to"], joint, f"{where}: to"),
-        _held(value.get("holds"), joint, model, where),
-    )
+    joint = _leader(latch.joint, model, where)
+    value = _value(latch.to, joint, f"{where}: to")
+    return Latch(joint.name, value, _held(latch.holds, joint, model, where))
 
 
 def _leader(name: str, model: Articulated, where: str) -> Joint:
@@ -218,10 +210,8 @@ def _leader(name: str, model: Articulated, where: str) -> Joint:
     return joint
 
 
-def _value(value: object, joint: Joint, where: str) -> float:
+def _value(value: float | str, joint: Joint, where: str) -> float:
     """Return the value of a latch, within the limits of its joint [rad] or [m]."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise SceneError(f"{where} must be a number or a text such as '40deg'")
     try:
         quantity = parse_quantity(value) if isinstance(value, str) else Quantity(value, "", "")
     except InputError as error:
@@ -238,7 +228,7 @@ def _value(value: object, joint: Joint, where: str) -> float:
     return min(max(number, joint.lower), joint.upper)
 
 
-def _held(name: object, joint: Joint, model: Articulated, where: str) -> str:
+def _held(name: str | None, joint: Joint, model: Articulated, where: str) -> str:
     """Return the joint that a latch holds: one that moves the latch."""
     movers = [
         other.name
@@ -258,8 +248,6 @@ def _held(name: object, joint: Joint, model: Articulated, where: str) -> str:
         raise SceneError(
             f"{where}: no other joint moves {joint.child!r}; a latch is on the part that it holds"
         )
-    if not isinstance(name, str):
-        raise SceneError(f"{where}: holds must be the name of a joint")
     held = _leader(name, model, f"{where}: holds").name
     if held == joint.name:
         raise SceneError(f"{where}: {held!r} cannot hold itself; 'holds' is the joint that opens")

@@ -17,7 +17,8 @@ from momapos.core import FileFormatError, resolved
 from momapos.core.geometry import apply, signed_area
 from momapos.model.scene.formats import MapGrid, find_inside, read_map
 
-from .scene import MAX_CORNERS, Scene
+from .scene import Scene
+from .scene_members import MAX_CORNERS
 from .scene_object import WALL_HEIGHT, SceneObject
 
 if TYPE_CHECKING:

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any
 
-import numpy as np
+import msgspec
 
-from momapos.core import (
-    Cache,
-    FileFormatError,
-    InputError,
-    SceneError,
-    is_name,
-    resolved,
-    unknown_name,
-)
+from momapos.core import Cache, FileFormatError, SceneError, resolved, unknown_name
 from momapos.core.geometry import pose_wxyz
-from momapos.model.records import Confidence, Hypothesis, JointResistance, PartKind
+from momapos.model.records import Confidence, Hypothesis, JointResistance
 from momapos.model.urdf import Articulated, box_urdf, read_furniture
 
 from .latches import read_latch
-from .scene import MAX_DISTANCE, read_numbers
-from .scene_object import MAX_MASS, SceneObject
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from .scene_members import ROUNDING_TOLERANCE, SceneConfidence, SceneEntry, SceneHypothesis, Unset
+from .scene_object import SceneObject
 
 
 def confidence_to_json(sure: Confidence) -> dict[str, Any]:
@@ -42,51 +30,20 @@ def confidence_to_json(sure: Confidence) -> dict[str, Any]:
     return entry
 
 
-def read_confidence(value: object, joints: Sequence[str], where: str) -> Confidence | None:
-    """Read the confidence of an object; None if the file has none.
+def _check_joints(names: Iterable[str], joints: Collection[str], where: str) -> None:
+    for name in names:
+        if name not in joints:
+            raise unknown_name("movable joint", name, joints, where)
 
-    Args:
-        value: Content of the file.
-        joints: The object's movable joints.
-        where: File and object, for messages.
 
-    Raises:
-        SceneError: A value is not a number from 0 to 1.
-        UnknownNameError: The object has no such joint.
-    """
-    if value is None:
+def _confidence(
+    sure: SceneConfidence | None, joints: Sequence[str], where: str
+) -> Confidence | None:
+    if sure is None:
         return None
-    where = f"{where}: confidence"
-    if not isinstance(value, dict):
-        raise SceneError(f'{where} must be {{"object": ..., "label": ...}}')
-    both = _shares({key: value.get(key) for key in ("object", "label")}, where)
-    parts = []
-    for key in ("joints", "handles"):
-        found = value.get(key, {})
-        if not isinstance(found, dict):
-            raise SceneError(f"{where}: {key} must be {{joint: number}}")
-        for name in found:
-            if name not in joints:
-                raise unknown_name("movable joint", name, joints, f"{where}: {key}")
-        parts.append(_shares(found, f"{where}: {key}"))
-    return Confidence(both["object"], both["label"], *parts)
-
-
-def _shares(values: Mapping[str, Any], where: str) -> dict[str, float]:
-    for name, value in values.items():
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not 0 <= value <= 1:
-            raise SceneError(f"{where}: {name!r:.60} must be a number from 0 to 1")
-    return {name: float(value) for name, value in values.items()}
-
-
-KINDS: tuple[PartKind, ...] = get_args(PartKind)
-MAX_HYPOTHESES = 16
-"""Maximum number of hypotheses of a joint [-]."""
-ROUNDING_TOLERANCE = 1e-3
-"""Tolerance of rounded probabilities and of unit vectors [-]."""
-MAX_COORDINATE = 1e3
-"""Maximum coordinate of a point on an axis, in the object's frame [m]."""
+    _check_joints(sure.joints, joints, f"{where}: confidence: joints")
+    _check_joints(sure.handles, joints, f"{where}: confidence: handles")
+    return Confidence(sure.object, sure.label, sure.joints, sure.handles)
 
 
 def hypotheses_to_json(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
@@ -103,31 +60,26 @@ def hypotheses_to_json(found: Sequence[Hypothesis]) -> list[dict[str, Any]]:
     ]
 
 
-def read_hypotheses(
-    value: object, joints: Mapping[str, bool], where: str
+def _hypotheses(
+    given: Mapping[str, Sequence[SceneHypothesis]], joints: Mapping[str, bool], where: str
 ) -> dict[str, tuple[Hypothesis, ...]]:
-    """Read the hypotheses of an object's joints.
+    """Return the hypotheses of an object's joints.
 
     Args:
-        value: Content of the file.
+        given: Those of the file.
         joints: The object's movable joints, and whether each slides.
         where: File and object, for messages.
 
     Raises:
-        SceneError: A value is invalid, the probabilities of a joint do not sum to 1 or increase, or
-            the first hypothesis is not the joint of the URDF.
+        SceneError: The probabilities of a joint do not sum to 1 or increase, or the first
+            hypothesis is not the joint of the URDF.
         UnknownNameError: The object has no such joint.
     """
-    if not isinstance(value, dict):
-        raise SceneError(f"{where}: hypotheses must be {{joint: [...]}}")
+    _check_joints(given, joints, f"{where}: hypotheses")
     found = {}
-    for name, rows in value.items():
-        if name not in joints:
-            raise unknown_name("movable joint", name, list(joints), f"{where}: hypotheses")
+    for name, rows in given.items():
         at = f"{where}: hypotheses of {name!r}"
-        if not isinstance(rows, list) or not 1 <= len(rows) <= MAX_HYPOTHESES:
-            raise SceneError(f"{at} must be a list of 1 to {MAX_HYPOTHESES} hypotheses")
-        found[name] = tuple(_hypothesis(row, f"{at}: {k}") for k, row in enumerate(rows))
+        found[name] = tuple(Hypothesis(**msgspec.structs.asdict(row)) for row in rows)
         total = sum(one.probability for one in found[name])
         if abs(total - 1.0) > ROUNDING_TOLERANCE * len(rows):
             raise SceneError(f"{at}: the probabilities sum to {total:.4g}; they must sum to 1")
@@ -155,79 +107,23 @@ def _check_first(found: Sequence[Hypothesis], slides: bool, at: str) -> None:
         )
 
 
-def _hypothesis(row: object, where: str) -> Hypothesis:
-    if not isinstance(row, dict):
-        raise SceneError(f"{where} must be a JSON object")
-    kind = next((known for known in KINDS if known == row.get("kind")), None)
-    if kind is None:
-        given = f"{row.get('kind')!r:.40}"
-        raise SceneError(f"{where}: kind {given} must be one of {', '.join(KINDS)}")
-    point, axis = (_triple(row, key, where) for key in ("point", "axis"))
-    if abs(float(np.linalg.norm(axis)) - 1.0) > ROUNDING_TOLERANCE:
-        raise SceneError(f"{where}: axis must have length 1")
-    probability, upper = (_number(row, key, where) for key in ("probability", "upper"))
-    if not 0.0 <= probability <= 1.0:
-        raise SceneError(f"{where}: probability {probability:g} must be from 0 to 1")
-    if not 0.0 <= upper <= MAX_COORDINATE:
-        raise SceneError(f"{where}: upper must be 0 or more, not {upper:g}")
-    return Hypothesis(kind, probability, point, axis, upper)
-
-
-def _triple(row: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float]:
-    values = row.get(key)
-    if not isinstance(values, list) or len(values) != 3:
-        raise SceneError(f"{where}: {key} must be 3 numbers")
-    x, y, z = (_number({key: value}, key, where) for value in values)
-    return x, y, z
-
-
-def _number(row: Mapping[str, Any], key: str, where: str) -> float:
-    value = row.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise SceneError(f"{where}: {key} must be a number")
-    # Compare integers of any length before converting to float, which may overflow.
-    if not -MAX_COORDINATE <= value <= MAX_COORDINATE:
-        raise SceneError(f"{where}: {key} must be a finite number within {MAX_COORDINATE:g}")
-    return float(value)
-
-
-_KEYS = tuple(item.name for item in fields(JointResistance))
-
-
-def read_resistance(
-    value: object, followers: Mapping[str, str], where: str
-) -> dict[str, JointResistance]:
-    """Read the known resistance of an object's joints.
+def _check_resistance(
+    known: Mapping[str, JointResistance], followers: Mapping[str, str], where: str
+) -> None:
+    """Refuse resistances of joints that do not exist, or that follow another one.
 
     Args:
-        value: Content of the file.
+        known: The resistances.
         followers: Leader of each movable joint that follows another; "" for the others.
         where: File and object, for messages.
-
-    Raises:
-        SceneError: A value is unusable, or a key is unknown.
-        UnknownNameError: The object has no such joint.
     """
-    if not isinstance(value, dict):
-        raise SceneError(f"{where}: resistance must be {{joint: {{...}}}}")
-    found = {}
-    for name, members in value.items():
-        if name not in followers:
-            raise unknown_name("movable joint", name, list(followers), f"{where}: resistance")
-        at = f"{where}: resistance of {name!r}"
-        if followers[name]:
-            leader = followers[name]
-            raise SceneError(f"{at}: it follows {leader!r}; give the resistance of {leader!r}")
-        if not isinstance(members, dict):
-            raise SceneError(f"{at} must be a JSON object")
-        for key in members:
-            if key not in _KEYS:
-                raise unknown_name("key", key, _KEYS, at)
-        try:
-            found[name] = JointResistance(**members)
-        except InputError as error:
-            raise SceneError(f"{at}: {str(error).removeprefix('JointResistance.')}") from error
-    return found
+    _check_joints(known, followers, f"{where}: resistance")
+    for name in known:
+        if leader := followers[name]:
+            raise SceneError(
+                f"{where}: resistance of {name!r}: it follows {leader!r}; give the resistance of "
+                f"{leader!r}"
+            )
 
 
 class ObjectModels:
@@ -335,7 +231,6 @@ def size_hint(size: Sequence[float], usual: tuple[float, float]) -> str:
 
 MIMIC_TOLERANCE = 1e-3
 """Largest difference between a mimic joint's value in a file and that of its leader [rad], [m]."""
-MAX_EDGE = 1e3  # maximum edge of a box [m]
 
 
 class ObjectReader:
@@ -353,81 +248,37 @@ class ObjectReader:
     """
 
     def __init__(
-        self, item: Mapping[str, Any], where: str, folder: Path, root: Path, models: ObjectModels
+        self, item: SceneEntry, where: str, folder: Path, root: Path, models: ObjectModels
     ) -> None:
         self.item, self.folder, self.root, self.models = item, folder, root, models
-        self.name = read_text(item.get("name"), f"{where}: name")
-        self.where = f"{where} ({self.name!r})"
+        self.where = f"{where} ({item.name!r})"
 
     def read(self) -> SceneObject:
         """Return the object."""
-        category = self.item.get("category", "")
-        if category != "":
-            category = read_text(category, f"{self.where}: category")
-        model = self.model()
-        joints, names = self.joint_values("joints", model), list(model.joints)
-        closed = self.joint_values("closed", model)
+        item, where, model = self.item, self.where, self.model()
+        joints, names = self.joint_values("joints", item.joints, model), list(model.joints)
+        closed = self.joint_values("closed", item.closed, model)
         if closed:
             model = model.changed(closed=closed)
         slides = {name: joint.kind == "prismatic" for name, joint in model.joints.items()}
-        found = read_hypotheses(self.item.get("hypotheses", {}), slides, self.where)
-        sure = read_confidence(self.item.get("confidence"), names, self.where)
         followers = {name: j.mimic.joint if j.mimic else "" for name, j in model.joints.items()}
-        known = read_resistance(self.item.get("resistance", {}), followers, self.where)
+        _check_resistance(item.resistance, followers, where)
         return SceneObject(
-            self.name, category, self.pose(), model, joints, found, sure, known, self.mass(),
-            latch=read_latch(self.item.get("latch"), model, self.where),
+            item.name, item.category, pose_wxyz(item.pose.xyz, item.pose.wxyz), model, joints,
+            _hypotheses(item.hypotheses, slides, where), _confidence(item.confidence, names, where),
+            item.resistance, None if isinstance(item.mass, Unset) else item.mass,
+            latch=read_latch(item.latch, model, where),
         )  # fmt: skip
-
-    def mass(self) -> float | None:
-        """Return its known mass [kg]; None if the file gives none."""
-        if "mass" not in self.item:
-            return None
-        mass = float(read_numbers([self.item["mass"]], 1, f"{self.where}: mass")[0])
-        if not 0 < mass <= MAX_MASS:
-            raise SceneError(
-                f"{self.where}: mass must be above 0 and at most {MAX_MASS:g} kg, not {mass:g}"
-            )
-        return mass
-
-    def pose(self) -> Float[np.ndarray, "4 4"]:
-        """Return the pose of its frame in the world."""
-        pose = self.item.get("pose")
-        if not isinstance(pose, dict):
-            raise SceneError(f"{self.where}: pose must be {{'xyz': [...], 'wxyz': [...]}}")
-        xyz = read_numbers(pose.get("xyz"), 3, f"{self.where}: pose.xyz")
-        wxyz = read_numbers(pose.get("wxyz", [1, 0, 0, 0]), 4, f"{self.where}: pose.wxyz")
-        if np.abs(xyz).max() > MAX_DISTANCE:
-            raise SceneError(f"{self.where}: pose.xyz is more than 10 km away")
-        length = math.hypot(*wxyz)
-        if not 0.9 < length < 1.1:
-            raise SceneError(f"{self.where}: pose.wxyz has length {length:g}; it must be 1")
-        return pose_wxyz(tuple(xyz), tuple(wxyz))
 
     def model(self) -> Articulated:
         """Return its model from a box or a URDF."""
-        if ("urdf" in self.item) == ("box" in self.item):
-            raise SceneError(f"{self.where}: needs either 'urdf' or 'box'")
-        if "box" in self.item:
-            size = read_numbers(self.item["box"], 3, f"{self.where}: box")
-            if size.min() <= 0 or size.max() > MAX_EDGE:
-                category = str(self.item.get("category", ""))
-                usual = usual_edge(category, self.name, jointed=False)
-                hint = size_hint(size.tolist(), usual) if size.min() > 0 else ""
-                raise SceneError(
-                    f"{self.where}: box edges must be between 0 and {MAX_EDGE:g} m, not "
-                    f"{', '.join(f'{v:g}' for v in size)}" + (f"; {hint}" if hint else "")
-                )
-            x, y, z = map(float, size)
-            return Articulated(box_urdf(self.name, (x, y, z)))
-        scale = float(read_numbers([self.item.get("scale", 1.0)], 1, f"{self.where}: scale")[0])
-        if not 1e-3 <= scale <= 1e3:
-            raise SceneError(f"{self.where}: scale must be between 0.001 and 1000, not {scale:g}")
-        return self.models(self.file(), scale)
+        if isinstance(self.item.urdf, str):
+            return self.models(self.file(self.item.urdf), self.item.scale)
+        assert not isinstance(self.item.box, Unset)
+        return Articulated(box_urdf(self.item.name, self.item.box))
 
-    def file(self) -> Path:
+    def file(self, text: str) -> Path:
         """Return the path of its URDF, which exists inside the root."""
-        text = read_text(self.item["urdf"], f"{self.where}: urdf")
         try:
             file = resolved(self.folder / text)
             inside, exists = file.is_relative_to(self.root), file.is_file()
@@ -442,24 +293,19 @@ class ObjectReader:
             raise SceneError(f"{self.where}: urdf {text!r} does not exist below {self.folder}")
         return self.folder / text
 
-    def joint_values(self, key: str, model: Articulated) -> dict[str, float]:
+    def joint_values(
+        self, key: str, given: Mapping[str, float], model: Articulated
+    ) -> dict[str, float]:
         """Return the joint values of a member, which are within the joints' limits."""
-        joints = self.item.get(key, {})
-        if not isinstance(joints, dict):
-            raise SceneError(f"{self.where}: {key} must be {{name: value}}")
-        values = {}
-        for name, value in joints.items():
-            if name not in model.joints:
-                raise unknown_name("movable joint", name, model.joints, self.where)
-            number = float(read_numbers([value], 1, f"{self.where}: {key}: {name!r}")[0])
+        _check_joints(given, model.joints, self.where)
+        for name, number in given.items():
             joint = model.joint(name)
             if not joint.lower - 1e-6 <= number <= joint.upper + 1e-6:
                 raise SceneError(
                     f"{self.where}: {key}: {name!r} is {number:g}, its limits are "
                     f"{joint.lower:g} to {joint.upper:g}"
                 )
-            values[name] = number
-        return self.without_mimics(key, values, model)
+        return self.without_mimics(key, given, model)
 
     def without_mimics(
         self, key: str, values: Mapping[str, float], model: Articulated
@@ -474,14 +320,3 @@ class ObjectReader:
                     f"and is at {there[name]:g}; set {mimic.joint!r} instead"
                 )
         return {name: v for name, v in values.items() if model.joint(name).mimic is None}
-
-
-def read_text(value: object, where: str) -> str:
-    """Return a printable string of limited length.
-
-    Raises:
-        SceneError: It is none; the message starts with `where`.
-    """
-    if not is_name(value):
-        raise SceneError(f"{where} must be a printable string of 1 to 1000 characters")
-    return value

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import (
+    Parents,
     Quantity,
     SceneError,
+    dotted,
     finite_number,
-    is_name,
     parse_quantity,
+    read_record,
     read_text_bounded,
     unknown_name,
 )
@@ -27,6 +29,7 @@ from momapos.model.records import NO_OVERRIDES, JointResistance, Outline, Overri
 from momapos.model.urdf import Joint
 
 from .scene_keys import IgnoredKey
+from .scene_members import Corners
 from .scene_object import MAX_MASS, SceneObject, Wall, wall_name, walls_around
 
 if TYPE_CHECKING:
@@ -220,87 +223,31 @@ class Scene:
         return scene
 
 
-MAX_AREAS = 1_000
-MAX_CORNERS = 1_000
-"""Maximum number of corners of an area or a floor [-]."""
-MAX_DISTANCE = 1e4
-"""Maximum distance from the world's origin [m]."""
 _MAX_BYTES = 1_000_000
 
 
-def read_areas(value: Any, where: str) -> dict[str, Outline]:
-    """Read the areas of a scene file by name.
-
-    Raises:
-        SceneError: They are not {name: [[x, y], ...]}; the message starts with `where`.
-    """
-    if not isinstance(value, dict) or len(value) > MAX_AREAS:
-        raise SceneError(f"{where} must be {{name: [[x, y], ...]}} with at most {MAX_AREAS} areas")
-    for name in value:
-        if not is_name(name):
-            raise SceneError(f"{where}: {name!r:.80} must be printable, 1 to 1000 characters long")
-    return {name: read_outline(corners, f"{where}: {name!r}") for name, corners in value.items()}
-
-
 def read_outline(value: Any, where: str) -> Outline:
-    """Read the corners of an area or a floor.
+    """Read the corners of an area.
 
     Raises:
         SceneError: The outline has too few or too many corners, or encloses no area.
     """
-    if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
-        raise SceneError(f"{where} must be an outline of 3 to {MAX_CORNERS} points [x, y]")
-    points = np.array([read_numbers(p, 2, f"{where} point {i}") for i, p in enumerate(value)])
-    if np.abs(points).max() > MAX_DISTANCE:
-        raise SceneError(f"{where} must be within 10 km of the origin")
-    if abs(signed_area(points)) < 1e-6:
+
+    def place(parents: Parents) -> str:
+        return f"{where}{': ' if parents else ''}{dotted(parents)}"
+
+    return checked_outline(read_record(value, Corners, place, SceneError), where)
+
+
+def checked_outline(corners: Outline, where: str) -> Outline:
+    """Return the corners of an area or a floor.
+
+    Raises:
+        SceneError: The outline encloses no area.
+    """
+    if abs(signed_area(np.array(corners))) < 1e-6:
         raise SceneError(f"{where} encloses no area")
-    return tuple((float(x), float(y)) for x, y in points)
-
-
-def read_floor(value: Any, where: str) -> Float[np.ndarray, "k 2"] | None:
-    """Read the outline of the floor; None if there is none.
-
-    Raises:
-        SceneError: It is no outline; the message starts with `where`.
-    """
-    return None if value is None else np.array(read_outline(value, where))
-
-
-def read_start(value: Any, where: str) -> Float[np.ndarray, "3"] | None:
-    """Read the initial pose of the robot: x [m], y [m], yaw [rad]; None if there is none.
-
-    Raises:
-        SceneError: It is no pose; the message starts with `where`.
-    """
-    if value is None:
-        return None
-    if not isinstance(value, dict) or not {"x", "y", "yaw"} <= set(value):
-        raise SceneError(f"{where} must be {{'x': ..., 'y': ..., 'yaw': ...}}")
-    start = read_numbers([value[k] for k in ("x", "y", "yaw")], 3, where)
-    if np.abs(start).max() > MAX_DISTANCE:
-        raise SceneError(f"{where} is more than 10 km away")
-    return start
-
-
-def read_numbers(value: object, count: int, where: str) -> Float[np.ndarray, " count"]:
-    """Read a list of finite numbers.
-
-    Raises:
-        SceneError: The value is not a list of `count` finite numbers.
-    """
-    values = value if isinstance(value, list) else []
-    if len(values) != count or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in values
-    ):
-        raise SceneError(f"{where} must be {f'{count} numbers' if count > 1 else 'a number'}")
-    try:
-        array = np.array(values, float)
-    except OverflowError:
-        array = np.array([math.inf])
-    if not np.isfinite(array).all():
-        raise SceneError(f"{where} must be finite")
-    return array
+    return corners
 
 
 def area_name(area: Outline, scene: Scene) -> str:

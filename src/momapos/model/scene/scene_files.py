@@ -10,15 +10,17 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 
 from momapos.core import (
     USER_CACHE,
     Cache,
+    ChosenName,
     FileFormatError,
     InputError,
     SceneError,
@@ -26,10 +28,13 @@ from momapos.core import (
     expect,
     keys_of,
     parse_json,
+    read_record,
     read_text_bounded,
     resolved,
+    unknown_name,
     write_atomic,
 )
+from momapos.model.records import JointResistance
 from momapos.model.urdf import Geometry, Mesh, Urdf
 
 from . import bestman
@@ -42,17 +47,14 @@ from .object_reader import (
     ObjectReader,
     confidence_to_json,
     hypotheses_to_json,
-    read_text,
     size_hint,
     usual_edge,
 )
-from .scene import Scene, read_areas, read_floor, read_numbers, read_start
-from .scene_keys import BESTMAN_KEYS, ignored_keys
-from .scene_members import SceneFile
+from .scene import Scene, checked_outline
+from .scene_keys import BESTMAN_KEYS, ignored_keys, place_of
+from .scene_members import MAX_OBJECTS, SceneFile, SceneWall
 from .scene_names import FORMAT, MAX_BYTES, find_scene
 from .scene_object import (
-    WALL_HEIGHT,
-    WALL_THICKNESS,
     SceneObject,
     Wall,
     check_crossing,
@@ -65,51 +67,38 @@ if TYPE_CHECKING:
 
 
 ALONG_FLOOR = "floor"
-MAX_WALLS = 1_000
 
 
-def read_walls(value: Any, floor: Float[np.ndarray, "k 2"] | None, where: str) -> tuple[Wall, ...]:
-    """Read the walls of a scene file.
+def read_walls(
+    given: Literal["floor"] | Sequence[SceneWall] | None,
+    floor: Float[np.ndarray, "k 2"] | None,
+    where: str,
+) -> tuple[Wall, ...]:
+    """Return the walls of a scene file.
 
     Args:
-        value: "floor", or a list of {"from": [x, y], "to": [x, y]} that may also give "height" and
-            "thickness" [m]; None for no walls.
+        given: "floor", or the walls of the file; None for no walls.
         floor: Outline of the floor [m].
         where: Start of messages.
 
     Raises:
-        SceneError: A wall is invalid, two walls cross, or there is no floor to follow.
+        SceneError: A wall is too short or long, two walls cross, or there is no floor to follow.
     """
-    if value is None:
+    if given is None:
         return ()
-    if value == ALONG_FLOOR:
+    if isinstance(given, str):
         if floor is None:
             raise SceneError(
                 f'{where}: "{ALONG_FLOOR}" needs the outline of the floor; add "floor": '
                 "[[x, y], ...], or list the walls"
             )
         return _named(where, walls_around, floor)
-    if not isinstance(value, list) or len(value) > MAX_WALLS:
-        raise SceneError(
-            f'{where} must be "{ALONG_FLOOR}" or a list of at most {MAX_WALLS} walls '
-            '{"from": [x, y], "to": [x, y]}'
-        )
-    walls = tuple(_wall(item, f"{where}: {wall_name(i)}") for i, item in enumerate(value))
+    walls = tuple(
+        _named(f"{where}: {wall_name(i)}", Wall, one.start, one.to, one.height, one.thickness)
+        for i, one in enumerate(given)
+    )
     check_crossing(walls, where)
     return walls
-
-
-def _wall(item: Any, where: str) -> Wall:
-    if not isinstance(item, dict):
-        raise SceneError(f'{where} must be {{"from": [x, y], "to": [x, y]}}')
-    (x, y), (u, v) = (
-        read_numbers(item.get(k), 2, f"{where}: {k}").tolist() for k in ("from", "to")
-    )
-    sizes = [
-        read_numbers([item.get(key, default)], 1, f"{where}: {key}").tolist()[0]
-        for key, default in (("height", WALL_HEIGHT), ("thickness", WALL_THICKNESS))
-    ]
-    return _named(where, Wall, (x, y), (u, v), *sizes)
 
 
 def _named(where: str, make: Any, *arguments: Any) -> Any:
@@ -241,8 +230,6 @@ def _write(folder: Path, plain: str, suffix: str, text: str) -> Path:
 
 
 VERSION = 1
-MAX_OBJECTS = 2_000
-"""Maximum number of objects; relations between all pairs of them take about 5 s [-]."""
 
 
 def load_scene(
@@ -354,32 +341,41 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
             f"{path}: version {data.get('version')!r:.60} of the scene format; "
             f"this momapos reads version {VERSION}"
         )
-    items = data.get("objects")
-    if not isinstance(items, list) or len(items) > MAX_OBJECTS:
-        raise FileFormatError(f"{path}: 'objects' must be a list of at most {MAX_OBJECTS}")
     models.root = root = resolved(models.root or path.parent)
     ignored = ignored_keys(data, keys_of(SceneFile), f"{path}")
-    objects = []
-    for index, item in enumerate(items):
-        where = f"{path}: object {index}"
-        if not isinstance(item, dict):
-            raise FileFormatError(f"{where} must be a JSON object")
-        objects.append(ObjectReader(item, where, path.parent, root, models).read())
-    floor = read_floor(data.get("floor"), f"{path}: floor")
-    walls = read_walls(data.get("walls"), floor, f"{path}: walls")
+    file = read_record(data, SceneFile, partial(place_of, data, where=f"{path}"), SceneError)
+    _check_resistance_keys(data, f"{path}")
+    objects = tuple(
+        ObjectReader(item, f"{path}: object {index}", path.parent, root, models).read()
+        for index, item in enumerate(file.objects)
+    )
+    floor = None
+    if file.floor is not None:
+        floor = np.array(checked_outline(file.floor, f"{path}: floor"))
     scene = Scene(
-        name=read_text(data.get("name", path.stem), f"{path}: name"),
+        name=file.name or path.stem,
         path=path,
-        objects=tuple(objects),
+        objects=objects,
         floor_polygon=floor,
-        start=read_start(data.get("start"), f"{path}: start"),
-        areas=read_areas(data.get("areas", {}), f"{path}: areas"),
+        start=None if (at := file.start) is None else np.array([at.x, at.y, at.yaw]),
+        areas={
+            name: checked_outline(corners, f"{path}: areas: {name!r}")
+            for name, corners in file.areas.items()
+        },
         warnings=tuple(map(str, ignored)),
         ignored_keys=ignored,
-    ).with_walls(walls)
-    if data.get("map") is None:
-        return scene
-    return with_map(scene, read_text(data["map"], f"{path}: map"), root)
+    ).with_walls(read_walls(file.walls, floor, f"{path}: walls"))
+    return scene if file.map is None else with_map(scene, file.map, root)
+
+
+def _check_resistance_keys(data: Mapping[str, Any], path: str) -> None:
+    """Refuse unknown members of resistances: a force that is not read would be assumed."""
+    known = [one.name for one in fields(JointResistance)]
+    for index, item in enumerate(data["objects"]):
+        for joint, members in item.get("resistance", {}).items():
+            for key in set(members).difference(known):
+                place = place_of(data, ("objects", index, "resistance", ChosenName(joint)), path)
+                raise unknown_name("key", key, known, place)
 
 
 def save_scene(scene: Scene, path: str | Path) -> Scene:

@@ -70,20 +70,26 @@ def ignored_keys(data: Any, keys: Keys, where: str) -> tuple[IgnoredKey, ...]:
     return (*found, rest)
 
 
+def place_of(data: Any, parents: Parents, where: str) -> str:
+    """Return where a value of a scene file stands, in words that begin with the file."""
+    return _at(data, parents, where)[0]
+
+
 def _at(data: Any, parents: Parents, where: str) -> tuple[str, str]:
     """Return where a key stands, in words, and the name of the object that it belongs to."""
     owner, item = "", data
     for part in parents:
-        item = item[part]
+        item = item.get(part) if isinstance(item, dict) else item[part]
         if isinstance(part, int) and owner:
             where = f"{where} {part}"
         elif isinstance(part, int):
             owner = _name_of(item)
-            what = "wall" if where.endswith(": walls") else "object"
+            what = {"walls": "wall", "objects": "object"}.get(f"{parents[0]}", "point")
+            what = "object" if part is parents[0] else what
             where = f"{where}: {what} {part}" + (f" ({owner!r})" if owner else "")
         elif isinstance(part, ChosenName):
             where = f"{where}: {part!r:.80}"
-        elif part != "objects" or owner:
+        elif part != "objects" or owner or part is parents[-1]:
             where = f"{where}: {part}"
     return where, owner
 

@@ -1,36 +1,37 @@
-"""The members of a scene file: its schema, its list of members and its known keys follow."""
+"""The members of a scene file: its checks, schema, list of members and known keys follow."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import msgspec
 
+from momapos.core import FileRecord, is_name
 from momapos.model.records import JointResistance, PartKind
 
+MAX_CORNERS = 1_000
+"""Maximum number of corners of an area or a floor [-]."""
+MAX_OBJECTS = 2_000
+"""Maximum number of objects; relations between all pairs of them take about 5 s [-]."""
+ROUNDING_TOLERANCE = 1e-3
+"""Tolerance of rounded probabilities and of unit vectors [-]."""
 Coordinate = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Local = Annotated[float, msgspec.Meta(ge=-1e3, le=1e3)]
-Pair = tuple[float, float]
 Point = tuple[Coordinate, Coordinate]
-Triple = tuple[float, float, float]
 Position = tuple[Coordinate, Coordinate, Coordinate]
 LocalTriple = tuple[Local, Local, Local]
-Edge = Annotated[float, msgspec.Meta(gt=0, le=1e3)]
-Quaternion = tuple[float, float, float, float]
+Edge = Annotated[float, msgspec.Meta(gt=0, le=1e6)]
+Quaternion = tuple[Local, Local, Local, Local]
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Positive = Annotated[float, msgspec.Meta(gt=0)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
-Outline = Annotated[tuple[Point, ...], msgspec.Meta(min_length=3, max_length=1000)]
+Corners = Annotated[tuple[Point, ...], msgspec.Meta(min_length=3, max_length=MAX_CORNERS)]
 Unset = msgspec.UnsetType
 UNSET = msgspec.UNSET
 """Default of a member that a file may leave out, and that is not null."""
 
 
-class _Strict(msgspec.Struct, forbid_unknown_fields=True):
-    """A record without further members: the reader ignores those, with a warning."""
-
-
-class ScenePose(_Strict):
+class ScenePose(FileRecord):
     """Pose of an object's frame in the world."""
 
     xyz: Position
@@ -38,8 +39,13 @@ class ScenePose(_Strict):
     wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
     """Unit quaternion [-]."""
 
+    def __post_init__(self) -> None:
+        length = math.hypot(*self.wxyz)
+        if not 0.9 < length < 1.1:
+            raise ValueError(f"wxyz has length {length:g}; it must be 1")
 
-class SceneStart(_Strict):
+
+class SceneStart(FileRecord):
     """Initial pose of the robot's base on the floor."""
 
     x: Coordinate
@@ -50,7 +56,7 @@ class SceneStart(_Strict):
     """[rad]"""
 
 
-class SceneWall(_Strict):
+class SceneWall(FileRecord):
     """A wall on the floor."""
 
     start: Point = msgspec.field(name="from")
@@ -63,7 +69,7 @@ class SceneWall(_Strict):
     """Half of it on either side of the center line [m]."""
 
 
-class SceneLatch(_Strict):
+class SceneLatch(FileRecord):
     """What must be turned before a part opens."""
 
     joint: str
@@ -74,7 +80,7 @@ class SceneLatch(_Strict):
     """Joint that it holds while closed within 0.01 rad or m; needed if several move the latch."""
 
 
-class SceneHypothesis(_Strict):
+class SceneHypothesis(FileRecord):
     """One motion that a part may have."""
 
     kind: PartKind
@@ -88,8 +94,12 @@ class SceneHypothesis(_Strict):
     upper: Annotated[float, msgspec.Meta(ge=0, le=1e3)]
     """How far it opens [rad] or [m]."""
 
+    def __post_init__(self) -> None:
+        if abs(math.hypot(*self.axis) - 1.0) > ROUNDING_TOLERANCE:
+            raise ValueError("axis must have length 1")
 
-class SceneConfidence(_Strict):
+
+class SceneConfidence(FileRecord):
     """How sure a scan is."""
 
     object: Share
@@ -102,14 +112,14 @@ class SceneConfidence(_Strict):
     """That a handle was seen, by joint [-]."""
 
 
-class SceneEntry(_Strict):
+class SceneEntry(FileRecord):
     """An object; it has either `urdf` or `box`."""
 
     name: Name
     """Unique in the scene."""
     pose: ScenePose
     """Pose of the model's frame, or of the middle of the box."""
-    category: str = ""
+    category: Annotated[str, msgspec.Meta(max_length=1000)] = ""
     """What it is, such as "fridge"."""
     urdf: Name | Unset = UNSET
     """Path of its model, relative to the scene file and inside of its folder."""
@@ -134,27 +144,40 @@ class SceneEntry(_Strict):
     confidence: SceneConfidence | None = None
     """Confidence of the scan that the model was made from."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.urdf is UNSET) == (self.box is UNSET):
+            raise ValueError("needs either 'urdf' or 'box'")
 
-class SceneFile(_Strict):
+
+class SceneFile(FileRecord):
     """A room."""
 
     format: Literal["momapos-scene"]
     """Name of the format."""
     version: Literal[1]
     """Version of the format."""
-    objects: list[SceneEntry]
+    objects: Annotated[list[SceneEntry], msgspec.Meta(max_length=MAX_OBJECTS)]
     """Everything in the room but its walls."""
     name: Name | None = None
     """By default that of the file."""
-    floor: Outline | None = None
+    floor: Corners | None = None
     """Corners of the floor: x, y [m]; without it the floor has no end."""
-    walls: Literal["floor"] | list[SceneWall] | None = None
+    walls: Literal["floor"] | Annotated[list[SceneWall], msgspec.Meta(max_length=1000)] | None = (
+        None
+    )
     """"floor" for walls around the floor."""
-    map: str | None = None
+    map: Name | None = None
     """Path of a Nav2 map (YAML), whose occupied cells become walls."""
     start: SceneStart | None = None
     """Where the robot's base is before a task."""
     schema: str | Unset = msgspec.field(default=UNSET, name="$schema")
     """Address of the file's JSON Schema, for editors."""
-    areas: dict[str, Outline] = {}
+    areas: Annotated[dict[str, Corners], msgspec.Meta(max_length=1000)] = {}
     """Simple polygons for --keep-in and --keep-out, by name."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.areas:
+            if not is_name(name):
+                raise ValueError(f"areas has {name!r:.80}, which is no printable name")
