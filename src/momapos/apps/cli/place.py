@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Found:
+class PlacedTask:
     """The best answer of all arms."""
 
     scene: Scene
@@ -94,7 +94,7 @@ def with_all_time(
 
 
 def draw(
-    found: Found,
+    found: PlacedTask,
     config: PipelineConfig,
     *,
     plot: Path | None,
@@ -466,7 +466,7 @@ def _answer(
     return exit_status(found.answer.plan.status, allow_assumed=options.allow_assumed)
 
 
-def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) -> Found:
+def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) -> PlacedTask:
     """Plan with each arm, and add what the options ask for."""
     from momapos.core import Stopwatch, processor_time
     from momapos.planning import cheapest, with_advice, with_max_opening, with_tolerance
@@ -511,4 +511,4 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
             answer = with_tolerance(answer, samples=options.tolerance_samples)
     tried = [f"{arm[0].arm}: {one.plan.status}" for arm, one in zip(arms, answers, strict=False)]
     several = ", ".join(tried) if len(arms) > 1 else ""
-    return Found(scene, task, chosen, answer, several)
+    return PlacedTask(scene, task, chosen, answer, several)
