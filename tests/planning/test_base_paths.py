@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,11 +35,6 @@ def corridor(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return corridor_room(tmp_path_factory.mktemp("corridor"))
 
 
-@pytest.fixture(scope="module")
-def segway(robots: Callable[[str], Robot]) -> Robot:
-    return robots("segway_ur5e")
-
-
 def plan_cabinet(
     scene: Scene, robot: Robot, to: float, start: np.ndarray = START
 ) -> PlacementResult:
@@ -51,9 +45,6 @@ def plan_cabinet(
 def leads_out(answer: PlacementResult, robot: Robot, goal: np.ndarray = START) -> bool:
     """Return whether a path leads from the base pose back to the start, past the open door."""
     task, scene = answer.plan.task, answer.prepared.scene
-    assert task.joint is not None
-    assert task.to is not None
-    assert answer.plan.base_pose is not None
     after = scene.with_joint(task.object, task.joint, task.to)
     base = np.array(answer.plan.base_pose)
     return plan_path(build_navigation_map(after, robot), base, goal) is not None

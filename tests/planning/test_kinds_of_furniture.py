@@ -110,14 +110,13 @@ def plan(scene: Scene, robot: Robot, *request: str, folder: Path) -> PlacementRe
 
 @pytest.mark.parametrize("kind", FOLLOWERS)
 def test_a_task_on_a_follower_moves_its_leader_and_everything_that_follows(
-    robots: Callable[[str], Robot], tmp_path: Path, kind: str
+    tmp_path: Path, kind: str, fetch: Robot
 ) -> None:
     parts, follower, leader = FOLLOWERS[kind]
     scene = save_scene(furniture_room(tmp_path, parts), tmp_path / "scene.json")
-    answer = plan(scene, robots("fetch"), "open", "cupboard", follower, folder=tmp_path)
+    answer = plan(scene, fetch, "open", "cupboard", follower, folder=tmp_path)
     task, motion = answer.plan.task, answer.plan.motion
     assert (task.joint, task.follower) == (leader, follower)
-    assert motion is not None
     # The hand keeps its pose in the link that it holds, wherever the model puts that link.
     item, ends = scene.object("cupboard"), (0, motion.holds[0].last)
     held = next(o.carrier for o in answer.prepared.motion.grasps.handles)
@@ -130,10 +129,10 @@ def test_a_task_on_a_follower_moves_its_leader_and_everything_that_follows(
 
 @pytest.mark.parametrize("kind", OWN_HANDLES)
 def test_a_handle_is_found_on_a_joint_of_its_own_and_on_any_face(
-    robots: Callable[[str], Robot], tmp_path: Path, kind: str
+    tmp_path: Path, kind: str, fetch: Robot
 ) -> None:
     scene = save_scene(furniture_room(tmp_path, OWN_HANDLES[kind]), tmp_path / "scene.json")
-    answer = plan(scene, robots("fetch"), "open", "cupboard", folder=tmp_path)
+    answer = plan(scene, fetch, "open", "cupboard", folder=tmp_path)
     assert answer.plan.task.joint in ("hinge", "slide", "lid")
     (handle, *_) = answer.prepared.motion.grasps.handles
     assert not handle.edge
@@ -242,9 +241,7 @@ def test_what_a_scene_says_about_the_closed_end_wins(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("to", ["-60deg", "60deg"])
-def test_a_swing_door_opens_both_ways(
-    robots: Callable[[str], Robot], tmp_path: Path, to: str
-) -> None:
+def test_a_swing_door_opens_both_ways(tmp_path: Path, to: str, fetch: Robot) -> None:
     frame = link("body", *(((0.1, 0.04, 2.05), (0, y, 1.025)) for y in (-0.51, 0.51)))
     knobs: list[Box] = [((0.08, 0.04, 0.04), (x, 0.8, 0)) for x in (-0.06, 0.06)]
     leaf = link("leaf", ((0.04, 0.88, 2.0), (0, 0.44, 0)), *knobs)
@@ -252,7 +249,7 @@ def test_a_swing_door_opens_both_ways(
     hinge = joint("hinge", "revolute", ends, at, (0, 0, 1), (-1.57, 1.57))
     scene = save_scene(furniture_room(tmp_path, [frame, leaf, hinge]), tmp_path / "scene.json")
     task = make_task(scene, "open", "cupboard", to=to)
-    answer = plan_base_placement(scene, robots("fetch"), task, config=CONFIG)
+    answer = plan_base_placement(scene, fetch, task, config=CONFIG)
     assert answer.plan.status == "solved", answer.plan.candidates
     with pytest.raises(TaskError, match="means to open"):
         make_task(scene, "close", "cupboard", to=to)
@@ -288,6 +285,6 @@ SOLVED = {
         for name in SOLVED
     ],
 )
-def test_a_public_case_is_solved(robots: Callable[[str], Robot], tmp_path: Path, name: str) -> None:
+def test_a_public_case_is_solved(tmp_path: Path, name: str, fetch: Robot) -> None:
     scene = load_scene(optional.there(CASES / "furniture" / name))
-    plan(scene, robots("fetch"), "open", SOLVED[name], folder=tmp_path)
+    plan(scene, fetch, "open", SOLVED[name], folder=tmp_path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,9 +43,9 @@ def lever_room(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def lever_answer(lever_room: Scene, robots: Callable[[str], Robot]) -> PlacementResult:
+def lever_answer(lever_room: Scene, fetch: Robot) -> PlacementResult:
     """The answer for it."""
-    answer = answer_of(lever_room, robots("fetch"))
+    answer = answer_of(lever_room, fetch)
     assert answer.plan.motion is not None
     return answer
 
@@ -61,10 +60,10 @@ def motion_of(answer: PlacementResult) -> Motion:
              for k in LATCHES],
 )  # fmt: skip
 def test_the_hand_turns_a_latch_and_holds_on_as_the_part_opens(
-    robots: Callable[[str], Robot], tmp_path: Path, kind: str
+    tmp_path: Path, kind: str, fetch: Robot
 ) -> None:
     scene = latched_room(tmp_path, kind)
-    answer = answer_of(scene, robots("fetch"))
+    answer = answer_of(scene, fetch)
     motion, item = motion_of(answer), scene.object("cupboard")
     path = tmp_path / "plan.json"
     write_plan(answer.plan, path)
@@ -73,8 +72,6 @@ def test_the_hand_turns_a_latch_and_holds_on_as_the_part_opens(
     # It leaves the latch in its place, so the hand that turned with it is in its bar there.
     check_independently(path, but_for="open hand in the part")
     # Two phases: the latch turns while the part rests, then the part moves with the turned latch.
-    assert motion.latch_q is not None
-    assert answer.plan.task.joint is not None
     first = motion.holds[0].first
     assert first > 0
     np.testing.assert_array_equal(motion.object_q[: first + 1], motion.object_q[0])
@@ -90,10 +87,10 @@ def test_the_hand_turns_a_latch_and_holds_on_as_the_part_opens(
 
 
 def test_without_a_latch_in_the_scene_nothing_is_turned(
-    robots: Callable[[str], Robot], lever_room: Scene, tmp_path: Path
+    lever_room: Scene, tmp_path: Path, fetch: Robot
 ) -> None:
     item = replace(lever_room.object("cupboard"), latch=None)
-    answer = answer_of(replace(lever_room, objects=(item,)), robots("fetch"))
+    answer = answer_of(replace(lever_room, objects=(item,)), fetch)
     motion = motion_of(answer)
     assert motion.latch_q is None
     assert answer.latch == ""
@@ -103,9 +100,9 @@ def test_without_a_latch_in_the_scene_nothing_is_turned(
 
 @pytest.mark.parametrize("values", [{"turn": -0.7}, {"hinge": 0.3}])
 def test_a_turned_latch_and_one_of_a_part_ajar_are_left_alone(
-    robots: Callable[[str], Robot], lever_room: Scene, values: dict[str, float]
+    lever_room: Scene, values: dict[str, float], fetch: Robot
 ) -> None:
-    answer = answer_of(lever_room.with_joints({"cupboard": values}), robots("fetch"))
+    answer = answer_of(lever_room.with_joints({"cupboard": values}), fetch)
     assert motion_of(answer).latch_q is None
 
 
@@ -149,11 +146,10 @@ def broken(motion: Motion) -> dict[str, Motion]:
 
 
 def test_the_exact_check_wants_the_latch_turned_by_the_hand_before_the_part_moves(
-    lever_answer: PlacementResult, lever_room: Scene, robots: Callable[[str], Robot]
+    lever_answer: PlacementResult, lever_room: Scene, fetch: Robot
 ) -> None:
     plan, motion = lever_answer.plan, motion_of(lever_answer)
-    assert plan.base_pose is not None
-    verifier = PlanVerifier(lever_room, robots("fetch"), plan.task)
+    verifier = PlanVerifier(lever_room, fetch, plan.task)
     assert verifier.check(plan.base_pose, motion).valid
     with unchecked():
         wrong_motions = broken(motion)
@@ -163,47 +159,41 @@ def test_the_exact_check_wants_the_latch_turned_by_the_hand_before_the_part_move
     for name, report in reports.items():
         assert name in {check.name for check in report.violations}, name
     plain = replace(lever_room.object("cupboard"), latch=None)
-    other = PlanVerifier(replace(lever_room, objects=(plain,)), robots("fetch"), plan.task)
+    other = PlanVerifier(replace(lever_room, objects=(plain,)), fetch, plan.task)
     names = {check.name for check in other.check(plan.base_pose, motion).violations}
     assert "the scene has the latch that the plan turns" in names
 
 
-def test_what_the_hand_cannot_turn_is_a_no_with_its_reason(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_what_the_hand_cannot_turn_is_a_no_with_its_reason(tmp_path: Path, fetch: Robot) -> None:
     scene = latched_room(tmp_path, "a lever", {"turn": JointResistance(friction=20.0)})
-    answer = answer_of(scene, robots("fetch"))
+    answer = answer_of(scene, fetch)
     assert answer.plan.status == "infeasible"
     assert "are needed to turn it" in answer.prepared.motion.refusal
 
 
-def test_a_latch_too_thick_for_the_hand_is_a_no(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_latch_too_thick_for_the_hand_is_a_no(tmp_path: Path, fetch: Robot) -> None:
     parts, _ = LATCHES["a lever"]
     thick = [p.replace('size="0.02 0.13 0.02"', 'size="0.14 0.14 0.14"') for p in parts]
     latch = latched_room(tmp_path, "a lever").object("cupboard").latch
     scene = furniture_room(tmp_path, thick, "cupboard")
     item = replace(scene.objects[0], latch=latch)
     scene = save_scene(replace(scene, objects=(item,)), tmp_path / "thick.json")
-    answer = answer_of(scene, robots("fetch"))
+    answer = answer_of(scene, fetch)
     assert answer.plan.status == "infeasible"
     assert "too thick for the gripper" in answer.prepared.motion.refusal
 
 
-def test_a_hand_without_fingers_cannot_turn_a_latch(
-    robots: Callable[[str], Robot], lever_room: Scene
-) -> None:
-    cup = replace(robots("fetch"), grips=Grip.SUCTION)
+def test_a_hand_without_fingers_cannot_turn_a_latch(lever_room: Scene, fetch: Robot) -> None:
+    cup = replace(fetch, grips=Grip.SUCTION)
     answer = answer_of(lever_room, cup)
     assert answer.plan.status == "infeasible"
 
 
 def test_a_tour_opens_a_latched_door_and_closes_it_without_the_latch(
-    robots: Callable[[str], Robot], lever_room: Scene
+    lever_room: Scene, fetch: Robot
 ) -> None:
     tour = plan_tour(
-        lever_room, robots("fetch"),
+        lever_room, fetch,
         [Request("open", "cupboard", to="60deg"), Request("close", "cupboard")], config=CONFIG,
     )  # fmt: skip
     assert tour.status == "solved"
@@ -211,13 +201,13 @@ def test_a_tour_opens_a_latched_door_and_closes_it_without_the_latch(
 
 
 def test_exports_and_the_page_turn_the_latch_before_the_part_moves(
-    lever_answer: PlacementResult, lever_room: Scene, robots: Callable[[str], Robot], tmp_path: Path
+    lever_answer: PlacementResult, lever_room: Scene, tmp_path: Path, fetch: Robot
 ) -> None:
-    plan, robot, motion = lever_answer.plan, robots("fetch"), motion_of(lever_answer)
-    phases = phases_of(plan, robot)
+    plan, motion = lever_answer.plan, motion_of(lever_answer)
+    phases = phases_of(plan, fetch)
     kinds = [phase.kind for phase in phases]
     assert kinds[-3:] == [PhaseKind.CLOSE, PhaseKind.ARM, PhaseKind.OPEN]
-    timeline = plan_timeline(plan, phases, lever_room, robot)
+    timeline = plan_timeline(plan, phases, lever_room, fetch)
     samples = timeline.samples
     assert timeline.latch == "turn"
     moved = samples.object_q > 1e-6
@@ -227,7 +217,7 @@ def test_exports_and_the_page_turn_the_latch_before_the_part_moves(
     lines = (tmp_path / "motion.csv").read_text().splitlines()
     assert lines[0].endswith("object_q,latch_q")
     assert float(lines[-1].split(",")[-1]) == pytest.approx(-0.7)
-    end = Story.of(plan, robot, lever_room).at(1e9).object_q
+    end = Story.of(plan, fetch, lever_room).at(1e9).object_q
     assert end == pytest.approx({"hinge": plan.task.to, "turn": -0.7})
     assert values_at_end(lever_room, plan.task, motion) == pytest.approx(end)
 
@@ -244,35 +234,35 @@ def test_a_motion_without_a_latch_holds_from_where_its_holds_say(
 
 
 def test_a_saved_scene_answers_as_the_scene_in_memory(
-    lever_answer: PlacementResult, lever_room: Scene, robots: Callable[[str], Robot]
+    lever_answer: PlacementResult, lever_room: Scene, fetch: Robot
 ) -> None:
-    again = answer_of(load_scene(lever_room.path or ""), robots("fetch"))
+    again = answer_of(load_scene(lever_room.path or ""), fetch)
     assert again.plan == lever_answer.plan
 
 
-def test_a_latch_without_a_shape_is_refused(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+def test_a_latch_without_a_shape_is_refused(tmp_path: Path, fetch: Robot) -> None:
     parts = [link("grip") if '<link name="grip"' in p else p for p in LATCHES["a lever"][0]]
     scene = furniture_room(tmp_path, parts)
     item = replace(scene.objects[0], latch=Latch("turn", -0.7, "hinge"))
     with pytest.raises(TaskError, match="the latch 'grip' has no shape"):
-        answer_of(replace(scene, objects=(item,)), robots("fetch"))
+        answer_of(replace(scene, objects=(item,)), fetch)
 
 
-def test_a_long_bar_is_a_latch_as_well(robots: Callable[[str], Robot], tmp_path: Path) -> None:
+def test_a_long_bar_is_a_latch_as_well(tmp_path: Path, fetch: Robot) -> None:
     parts = [p.replace('size="0.02 0.13 0.02"', 'size="0.02 0.4 0.02"')
              for p in LATCHES["a lever"][0]]  # fmt: skip
     scene = furniture_room(tmp_path, parts)
     item = replace(scene.objects[0], latch=Latch("turn", -0.4, "hinge"))
     scene = save_scene(replace(scene, objects=(item,)), tmp_path / "scene.json")
-    assert motion_of(answer_of(scene, robots("fetch"))).latch_q is not None
+    assert motion_of(answer_of(scene, fetch)).latch_q is not None
 
 
 def test_a_tour_takes_another_grasp_once_a_latched_door_is_ajar(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, segway: Robot
 ) -> None:
     scene = latched_room(tmp_path, "a T-handle")
     tour = plan_tour(
-        scene, robots("segway_ur5e"),
+        scene, segway,
         [Request("open", "cupboard", to="10deg"), Request("open", "cupboard")], config=CONFIG,
     )  # fmt: skip
     assert tour.status == "solved"

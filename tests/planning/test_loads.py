@@ -26,11 +26,6 @@ Robots = Callable[[str], Robot]
 QUICK = PipelineConfig(timeout=20.0)
 
 
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
 def test_an_object_beyond_the_payload_is_refused_in_words(kitchen: Scene, robots: Robots) -> None:
     robot, heavy = robots("mobile_panda"), kitchen.with_mass("apple", 5.0)
     plan = plan_base_placement(heavy, robot, make_task(heavy, "pick", "apple")).plan
@@ -38,22 +33,19 @@ def test_an_object_beyond_the_payload_is_refused_in_words(kitchen: Scene, robots
     assert "apple weighs 5 kg, and mobile_panda carries 2.24 kg" in plan.candidates.rejections
 
 
-def test_a_heavier_object_within_the_payload_is_in_the_plan(kitchen: Scene, robots: Robots) -> None:
+def test_a_heavier_object_within_the_payload_is_in_the_plan(kitchen: Scene, fetch: Robot) -> None:
     heavy = kitchen.with_mass("apple", 2.0)
-    plan = plan_base_placement(heavy, robots("fetch"), make_task(heavy, "pick", "apple")).plan
+    plan = plan_base_placement(heavy, fetch, make_task(heavy, "pick", "apple")).plan
     assert plan.status == "solved"
-    assert plan.loads is not None
     assert plan.loads.payload == 2.0
     assert "2 kg in the hand" in str(plan.loads)
 
 
 def test_a_motor_too_weak_for_the_pull_is_named(
-    kitchen: Scene, robots: Robots, tmp_path: Path
+    kitchen: Scene, tmp_path: Path, segway: Robot
 ) -> None:
-    strong = robots("segway_ur5e")
     task = make_task(kitchen, "open", "fridge", "door_hinge")
-    plan = plan_base_placement(kitchen, strong, task).plan
-    assert plan.base_pose is not None
+    plan = plan_base_placement(kitchen, segway, task).plan
     weak = with_urdf(tmp_path, ('effort="150"', 'effort="40"'))
     attempt = check_base_pose(kitchen, weak, task, plan.base_pose)
     assert attempt.motion is None
@@ -65,7 +57,6 @@ def test_the_answer_says_which_efforts_are_unknown(kitchen: Scene, tmp_path: Pat
     robot = with_urdf(tmp_path, ('effort="28"', 'effort="0"'))
     task = make_task(kitchen, "open", "cabinet_left", "drawer_slide")
     loads = plan_base_placement(kitchen, robot, task).plan.loads
-    assert loads is not None
     assert set(loads.efforts) == {"shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"}
     (note,) = loads.notes
     assert note.startswith("no effort limit is known for wrist_1_joint, ")
@@ -81,15 +72,14 @@ def test_a_home_that_a_motor_cannot_hold_is_the_reason(kitchen: Scene, tmp_path:
     assert reason.startswith("elbow_joint needs 18.5 of 9 Nm at home; if springs bear the weight")
 
 
-def test_a_part_that_tips_the_robot_over_is_left_closed(kitchen: Scene, robots: Robots) -> None:
+def test_a_part_that_tips_the_robot_over_is_left_closed(kitchen: Scene, stretch: Robot) -> None:
     stiff = {"cabinet_left": {"drawer_slide": JointResistance(seal_force=14.0)}}
-    scene, robot = kitchen.with_resistance(stiff), robots("stretch")
+    scene = kitchen.with_resistance(stiff)
     task = make_task(scene, "open", "cabinet_left", "drawer_slide")
-    assert plan_base_placement(kitchen, robot, task).plan.status == "solved"
+    assert plan_base_placement(kitchen, stretch, task).plan.status == "solved"
     config = PipelineConfig(place=PlaceConfig(rounds=1, grid=False), base="fixed")
-    plan = plan_base_placement(scene, robot, task, config=config).plan
+    plan = plan_base_placement(scene, stretch, task, config=config).plan
     assert plan.status == "infeasible"
-    assert plan.candidates.nearest is not None
     assert plan.candidates.nearest.reason.startswith("stretch would tip over at ")
     assert "stretch would tip over" in plan.candidates.rejections
 

@@ -12,10 +12,9 @@ import pytest
 from momapos.core.geometry.transforms import local_points
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import Motion, Verb
-from momapos.model.robots.robot import Drive, load_robot
+from momapos.model.robots.robot import Drive, Robot, load_robot
 from momapos.model.scene.other_motion import with_assumptions
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
@@ -31,11 +30,6 @@ from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
 
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
 def moving(scene: Scene, robot: str, item: str, joint: str) -> PlacementResult:
     task = make_task(scene, "open", item, joint)
     query = PlacementQuery.of(scene, load_robot(robot), task, clock=time.process_time)
@@ -44,8 +38,6 @@ def moving(scene: Scene, robot: str, item: str, joint: str) -> PlacementResult:
 
 def known(answer: PlacementResult) -> tuple[Motion, np.ndarray]:
     motion = answer.plan.motion
-    assert motion is not None
-    assert motion.base is not None
     return motion, motion.base
 
 
@@ -78,8 +70,6 @@ def test_a_moving_base_opens_the_part_and_the_file_is_valid(
 
 def known_base(path: Path) -> np.ndarray:
     motion = read_plan(path).motion
-    assert motion is not None
-    assert motion.base is not None
     return motion.base
 
 
@@ -104,14 +94,11 @@ def test_each_drive_moves_doors_flaps_and_drawers_open_or_closed(
     own = load_robot(robot)
     moves = replace(own, drive=drive, min_turning_radius=1.0 if drive == "car" else 0.0)
     wide = np.pi / 4 if item == "dishwasher" else make_task(kitchen, "open", item, joint).to
-    assert wide is not None
     scene = kitchen if verb == "open" else kitchen.with_joint(item, joint, wide)
     task = make_task(scene, verb, item, joint, wide if verb == "open" else None)
     query = PlacementQuery.of(scene, moves, task, load_reach(own), clock=time.process_time)
     plan = plan_moving(query).plan
     assert plan.base_pose is not None, plan.candidates
-    assert plan.motion is not None
-    assert plan.motion.base is not None
     verifier = PlanVerifier(with_assumptions(scene, plan), moves, task)
     assert verifier.first_violation(plan.base_pose, plan.motion) is None
     way = local_points(plan.motion.base[0], plan.motion.base[:, :2])
@@ -128,9 +115,9 @@ def test_a_differential_base_moves_along_its_heading(kitchen: Scene) -> None:
     np.testing.assert_allclose(step - np.outer(step @ ahead, ahead), 0.0, atol=1e-9)
 
 
-def test_a_base_that_follows_the_part_rests_until_the_grasp(kitchen: Scene) -> None:
+def test_a_base_that_follows_the_part_rests_until_the_grasp(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
-    motion = task_motion(kitchen, load_robot("segway_ur5e"), task, PipelineConfig().motion)
+    motion = task_motion(kitchen, segway, task, PipelineConfig().motion)
     share = np.linspace(0.0, 1.0, len(motion.object_q))
     shift = BaseShift(np.array([0.4, 0.0]), share)
     paths = shift.paths(np.array([[1.0, 2.0, np.pi / 2]]))
@@ -144,12 +131,11 @@ def test_a_base_that_follows_the_part_rests_until_the_grasp(kitchen: Scene) -> N
     assert (np.diff(progress) >= 0.0).all()
 
 
-def test_a_handle_that_is_too_high_has_no_start(kitchen: Scene) -> None:
+def test_a_handle_that_is_too_high_has_no_start(kitchen: Scene, stretch: Robot) -> None:
     """Stretch lifts its hand to 1.3 m, and the handle of a wall cabinet is at 1.5 m."""
     task = make_task(kitchen, "open", "wall_cabinet", "door_left_hinge")
-    robot = load_robot("stretch")
-    motion = task_motion(kitchen, robot, task, PipelineConfig().motion)
-    starts = ShortArmStarts(robot, motion)
+    motion = task_motion(kitchen, stretch, task, PipelineConfig().motion)
+    starts = ShortArmStarts(stretch, motion)
     assert not starts.possible.any()
     poses = np.array([[1.0, 1.0, 0.3], [2.0, 1.0, -2.0]])
     shifted, grasp = starts(poses)
@@ -168,7 +154,6 @@ def test_a_refusal_tells_reach_from_load(kitchen: Scene) -> None:
     counts, nearest = plan.candidates.rejections, plan.candidates.nearest
     assert sum(counts.values()) == plan.candidates.sampled
     assert {"base in collision", "beyond the arm's reach", "stretch would tip over"} <= set(counts)
-    assert nearest is not None
     assert nearest.reason.startswith("stretch would tip over at waypoint ")
 
 
@@ -200,11 +185,10 @@ def prepared(scene: Scene, robot: str, item: str, joint: str) -> SearchSetup:
     return prepare_search(query, scene, motion)
 
 
-def test_starts_put_the_hand_at_its_grasp(kitchen: Scene) -> None:
+def test_starts_put_the_hand_at_its_grasp(kitchen: Scene, stretch: Robot) -> None:
     task = make_task(kitchen, "open", "microwave", "door_hinge")
-    robot = load_robot("stretch")
-    motion = task_motion(kitchen, robot, task, PipelineConfig().motion)
-    starts = ShortArmStarts(robot, motion)
+    motion = task_motion(kitchen, stretch, task, PipelineConfig().motion)
+    starts = ShortArmStarts(stretch, motion)
     yaw = np.linspace(-np.pi, np.pi, 24, endpoint=False)
     position = motion.Ts_world_tool[0, motion.grasp_step, :2, 3]
     poses, grasps = starts(np.column_stack([np.tile(position, (24, 1)), yaw]))

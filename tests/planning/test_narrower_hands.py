@@ -84,14 +84,10 @@ def test_a_limited_number_of_grasps_is_not_exceeded_with_a_hand_that_is_less_ope
         assert any(narrower_hands(asked, ready)) == some
 
 
-def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(
-    solved: PlacementResult,
-) -> None:
+def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(solved: PlacementResult) -> None:
     assert solved.plan.status == "solved"
     robot = solved.prepared.robot
-    assert robot.fully_open is not None
     assert 0.03 < robot.opening < robot.fully_open.opening - 0.005
-    assert solved.query is not None
     assert solved.query.robot is robot
     (note,) = solved.notes
     assert f"the hand opens to {100 * robot.opening:.1f} cm before the robot drives" in note
@@ -101,9 +97,7 @@ def test_an_open_hand_cannot_do_it(
     solved: PlacementResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(any_grasp, "with_narrower_hand", lambda _, answer, __: answer)
-    assert solved.query is not None
     whole = solved.prepared.robot.fully_open
-    assert whole is not None
     assert plans.plan_placement(replace(solved.query, robot=whole)).plan.status == "infeasible"
 
 
@@ -111,9 +105,7 @@ def test_an_open_hand_cannot_do_it(
 def test_a_plan_for_a_less_probable_joint_counts(
     solved: PlacementResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert solved.query is not None
     whole = solved.prepared.robot.fully_open
-    assert whole is not None
     query = replace(solved.query, robot=whole)
     assumed = replace(solved, plan=replace(solved.plan, status="assumed"))
     with monkeypatch.context() as patched:
@@ -131,7 +123,6 @@ def test_a_moving_base_holds_with_a_hand_that_is_less_open(
     answer = plan_moving(query_of(tmp_path, case, robots))
     assert answer.plan.status == "solved"
     robot = answer.prepared.robot
-    assert robot.fully_open is not None
     assert robot.opening < robot.fully_open.opening - 0.005
     write_plan(answer.with_notes().plan, tmp_path / "plan.json")
     assert verify_files(tmp_path / "plan.json").valid
@@ -146,9 +137,6 @@ def test_verifiers_read_how_far_the_hand_is_open(solved: PlacementResult) -> Non
 @pytest.mark.parametrize("solved", ["a bar between posts"], indirect=True)
 def test_the_same_motion_with_an_open_hand_is_rejected(solved: PlacementResult) -> None:
     plan, whole = solved.plan, solved.prepared.robot.fully_open
-    assert plan.motion is not None
-    assert plan.base_pose is not None
-    assert whole is not None
     report = PlanVerifier(solved.prepared.scene, whole, plan.task).check(
         plan.base_pose, plan.motion
     )
@@ -163,7 +151,6 @@ def test_a_robot_is_loaded_with_the_hand_of_its_plan(solved: PlacementResult) ->
 
 def test_exports_open_the_hand_to_its_width_before_the_drive(solved: PlacementResult) -> None:
     whole, plan = solved.prepared.robot.fully_open, solved.plan
-    assert whole is not None
     phases = phases_of(plan, whole)
     kinds = [phase.kind for phase in phases]
     assert kinds[:3] == [PhaseKind.OPEN, PhaseKind.DRIVE, PhaseKind.ARM]
@@ -177,13 +164,8 @@ def test_exports_open_the_hand_to_its_width_before_the_drive(solved: PlacementRe
     assert [*widths] == [pytest.approx(solved.prepared.robot.opening, abs=1e-4)]
 
 
-def test_a_plan_at_a_pose_may_use_a_hand_that_is_less_open(
-    solved: PlacementResult,
-) -> None:
+def test_a_plan_at_a_pose_may_use_a_hand_that_is_less_open(solved: PlacementResult) -> None:
     whole, pose = solved.prepared.robot.fully_open, solved.plan.base_pose
-    assert solved.query is not None
-    assert whole is not None
-    assert pose is not None
     again = plan_at_pose(replace(solved.query, robot=whole), pose)
     assert again.plan.status == "solved"
     assert again.plan.robot_rest == again.prepared.robot.model.held != whole.model.held
@@ -193,7 +175,7 @@ def test_a_plan_at_a_pose_may_use_a_hand_that_is_less_open(
     ("verb", "when"), [("pick", "before the robot drives"), ("place", "lets go")]
 )
 def test_an_object_among_others_is_taken_by_a_hand_that_is_less_open(
-    robots: Callable[[str], Robot], verb: str, when: str
+    verb: str, when: str, fetch: Robot
 ) -> None:
     grid = [(0.07 * i, 0.07 * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
     size = (0.04, 0.04, 0.12)
@@ -203,41 +185,39 @@ def test_an_object_among_others_is_taken_by_a_hand_that_is_less_open(
     ]
     table = SceneObject.box("table", (0.6, 1.2, 0.7), (0.8, 0.0, 0.35))
     scene = Scene("shelf", (table, *cans), start=np.array([-1.5, 0.0, 0.0]))
-    query = PlacementQuery.of(scene, robots("fetch"), make_task(scene, verb, "can"))
+    query = PlacementQuery.of(scene, fetch, make_task(scene, verb, "can"))
     result = plans.plan_placement(query)
     assert result.plan.status == "solved"
-    assert result.prepared.robot.fully_open is robots("fetch")
+    assert result.prepared.robot.fully_open is fetch
     assert when in result.notes[0]
 
 
-def test_the_farthest_opening_is_that_of_any_hand(
-    tmp_path: Path, robots: Callable[[str], Robot]
-) -> None:
+def test_the_farthest_opening_is_that_of_any_hand(tmp_path: Path, fetch: Robot) -> None:
     scene = furniture_room(tmp_path, niche(0.09))
     task = make_task(scene, "open", "cupboard", "slide", "max")
-    result = plans.plan_placement(PlacementQuery.of(scene, robots("fetch"), task))
+    result = plans.plan_placement(PlacementQuery.of(scene, fetch, task))
     assert result.plan.task.to == pytest.approx(0.4)
-    assert result.prepared.robot.fully_open is robots("fetch")
+    assert result.prepared.robot.fully_open is fetch
 
 
 def test_a_task_that_an_open_hand_does_asks_for_no_other(
-    tmp_path: Path, robots: Callable[[str], Robot], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fetch: Robot
 ) -> None:
     monkeypatch.setattr(any_grasp, "with_narrower_hand", None)
     parts = pull_out("tray", mimics=("",))
-    scene, robot = furniture_room(tmp_path, parts), robots("fetch")
+    scene = furniture_room(tmp_path, parts)
     task = make_task(scene, "open", "cupboard", "tray_slide")
-    result = plans.plan_placement(PlacementQuery.of(scene, robot, task))
+    result = plans.plan_placement(PlacementQuery.of(scene, fetch, task))
     assert result.plan.status == "solved"
-    assert result.prepared.robot is robot
+    assert result.prepared.robot is fetch
     assert not result.notes
 
 
-def test_no_hand_is_tried_where_none_helps(tmp_path: Path, robots: Callable[[str], Robot]) -> None:
+def test_no_hand_is_tried_where_none_helps(tmp_path: Path, fetch: Robot) -> None:
     """A slot into which no finger fits, and a part that is blocked."""
     scene = furniture_room(tmp_path, niche(0.03))
     task = make_task(scene, "open", "cupboard", "slide", 0.3)
-    query = PlacementQuery.of(scene, robots("fetch"), task)
+    query = PlacementQuery.of(scene, fetch, task)
     result = plans.plan_placement(query)
     assert result.plan.status == "infeasible"
     assert result.prepared.robot is query.robot

@@ -12,7 +12,7 @@ from tests.rooms import Everywhere, cabinet_room
 
 from momapos.apps.cli.main import main
 from momapos.model.records.outcomes import PoseStatus
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -37,7 +37,7 @@ def room(folder: Path, width: float, *, cut: float = -2.2) -> Scene:
 
 @pytest.mark.parametrize("cut", [-2.2, -2.5])
 def test_arms_are_not_checked_behind_a_narrow_door(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: float, husky: Robot
 ) -> None:
     screened: list[int] = []
 
@@ -45,9 +45,9 @@ def test_arms_are_not_checked_behind_a_narrow_door(
         screened.append(len(bases))
 
     monkeypatch.setattr(Feasibility, "screen", spied)
-    scene, robot = room(tmp_path, 0.65, cut=cut), load_robot("husky_ur5e")
+    scene = room(tmp_path, 0.65, cut=cut)
     task, start = make_task(scene, "open", "cabinet", "hinge"), np.array([0.0, -3.2, 0.0])
-    plan = plan_base_placement(scene, robot, task, Everywhere(), start=start).plan
+    plan = plan_base_placement(scene, husky, task, Everywhere(), start=start).plan
     assert plan.status == "infeasible"
     assert not screened
     words = [word for word in plan.candidates.rejections if word.startswith("no way to drive")]
@@ -56,12 +56,14 @@ def test_arms_are_not_checked_behind_a_narrow_door(
     ] or words == ["no way to drive there: 65 cm between right and left, and the robot needs 69 cm"]
 
 
-def test_poses_on_the_near_side_of_a_narrow_door_are_still_tried(tmp_path: Path) -> None:
+def test_poses_on_the_near_side_of_a_narrow_door_are_still_tried(
+    tmp_path: Path, husky: Robot
+) -> None:
     """The door stands so close to the cabinet that poses on both sides are within reach."""
-    scene, robot = room(tmp_path, 0.6, cut=-1.2), load_robot("husky_ur5e")
+    scene = room(tmp_path, 0.6, cut=-1.2)
     task, start = make_task(scene, "open", "cabinet", "hinge"), np.array([0.0, -3.2, 0.0])
     config = PipelineConfig(place=PlaceConfig(count=256, rounds=1, grid=False))
-    result = plan_base_placement(scene, robot, task, Everywhere(), start=start, config=config)
+    result = plan_base_placement(scene, husky, task, Everywhere(), start=start, config=config)
     outcomes = np.concatenate(result.search.outcomes)
     poses = np.concatenate(result.search.poses)
     blocked = np.array([one.status is PoseStatus.NO_PASSAGE for one in outcomes])
@@ -80,8 +82,7 @@ def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("name", "width"),
-    [("ranger_rm63", 0.5), pytest.param("tiago", 0.54, marks=pytest.mark.slow)],
+    ("name", "width"), [("ranger_rm63", 0.5), pytest.param("tiago", 0.54, marks=pytest.mark.slow)]
 )
 def test_arms_are_checked_at_few_of_the_base_poses_that_are_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, width: float

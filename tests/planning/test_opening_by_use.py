@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.base_use import plan_moving
 from momapos.planning.config import BaseUse, PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -23,11 +22,6 @@ from momapos.planning.query import PlacementQuery
 SAMPLED = PlaceConfig(rounds=1, grid=False)
 FREEZER = "fridge/freezer_door_hinge"
 USES = ("from one base pose, ", "from up to 3 stops, ", "with a moving base, ")
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
 
 
 def refused(scene: Scene, item: str, base: BaseUse) -> PlacementPlan:
@@ -47,35 +41,34 @@ def plan(kitchen: Scene) -> PlacementPlan:
 
 
 def test_a_refusal_names_how_far_each_use_moves_the_part_and_what_stops_it(
-    kitchen: Scene, plan: PlacementPlan
+    kitchen: Scene, plan: PlacementPlan, stretch: Robot
 ) -> None:
     assert [words.startswith(use) for words, use in zip(plan.notes, USES, strict=True)] == [
         True
     ] * 3
     still, _, moving = plan.notes
     assert "no motion even to 11 deg was found: " in still
-    assert plan.feasible_to is not None
     assert not plan.feasible_sure
     assert moving.startswith(
         f"{USES[2]}the part moves at least to {np.degrees(plan.feasible_to):.0f} deg; no motion to "
     )
     task = make_task(kitchen, "open", *FREEZER.split("/"), plan.feasible_to)
     config = PipelineConfig(place=SAMPLED)
-    again = plan_moving(PlacementQuery.of(kitchen, load_robot("stretch"), task, config=config))
+    again = plan_moving(PlacementQuery.of(kitchen, stretch, task, config=config))
     assert again.plan.base_pose == plan.feasible_from
 
 
 def test_what_a_refusal_states_is_what_direct_questions_find(
-    kitchen: Scene, plan: PlacementPlan
+    kitchen: Scene, plan: PlacementPlan, stretch: Robot
 ) -> None:
     """Each stated value that is reached has a plan, and each other one has none."""
-    robot, count = load_robot("stretch"), 0
+    count = 0
     for note in plan.notes:
         use = dict(zip(USES, ("fixed", "stops", "moving"), strict=True))[f"{note.split(', ')[0]}, "]
         for words, number in re.findall(r"(at least|even|no motion) to ([\d.]+) deg", note):
             task = make_task(kitchen, "open", *FREEZER.split("/"), f"{number}deg")
             config = PipelineConfig(place=SAMPLED, base=use)
-            found = plan_base_placement(kitchen, robot, task, config=config)
+            found = plan_base_placement(kitchen, stretch, task, config=config)
             assert (found.plan.status == "solved") == (words == "at least"), note
             count += 1
     assert count >= 3

@@ -20,24 +20,13 @@ from momapos.apps.plots.opening_plot import (
 )
 from momapos.core import OutOfTimeError
 from momapos.model.records.plans import Task
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose
 from momapos.planning.opening_maps import YAWS, OpeningMap, opening_map
 from momapos.planning.placement.problem import Search
 from momapos.planning.reachability.map_store import load_reach_map
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def fetch() -> Robot:
-    return load_robot("fetch")
 
 
 @pytest.fixture(scope="module")

@@ -34,66 +34,57 @@ HIGH, LOW = 2.8, 0.9
 """Heights of bars above the floor, out of reach and within it [m]."""
 
 
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("fetch")
-
-
 @pytest.mark.parametrize("bars", [(HIGH, LOW), (LOW, HIGH)])
 def test_a_bar_within_reach_is_held_if_another_bar_is_out_of_reach(
-    tmp_path: Path, robot: Robot, bars: tuple[float, float]
+    tmp_path: Path, fetch: Robot, bars: tuple[float, float]
 ) -> None:
     scene = furniture_room(tmp_path, wardrobe(*bars))
     task = make_task(scene, "open", "cupboard", None, "60deg")
     config = by_samples(PipelineConfig())
-    answer = plan_base_placement(scene, robot, task, config=config, clock=time.process_time)
+    answer = plan_base_placement(scene, fetch, task, config=config, clock=time.process_time)
     assert answer.plan.status == "solved", answer.plan.candidates
     motion = answer.plan.motion
-    assert motion is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
     tolerance = with_tolerance(answer, samples=10, clock=time.process_time).plan.tolerance
-    assert tolerance is not None
     assert tolerance.radius > 0.0
     base = answer.plan.base_pose
-    assert base is not None
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
+        scene, fetch, task, load_reach(fetch), watch=Stopwatch(time.process_time)
     )
-    there = check_base_pose(scene, robot, task, base, how_far=False)
+    there = check_base_pose(scene, fetch, task, base, how_far=False)
     assert there.motion is not None
     assert tolerance_at(query, base, samples=10).radius > 0.0
     at_pose = plan_at_pose(query, base)
     grasps = at_pose.prepared.motion
     held = np.abs(grasps.Ts_world_tool[:, grasps.grasp_step, 2, 3] - LOW)
     assert held.max() < 0.5, "the answer describes the handle out of reach"
-    shown = Probe(scene, robot, task, query.reach).at(np.array(base), time.process_time)
+    shown = Probe(scene, fetch, task, query.reach).at(np.array(base), time.process_time)
     assert shown.feasible
 
 
-def test_a_moving_base_opens_a_door_by_the_bar_within_reach(tmp_path: Path, robot: Robot) -> None:
+def test_a_moving_base_opens_a_door_by_the_bar_within_reach(tmp_path: Path, fetch: Robot) -> None:
     scene = furniture_room(tmp_path, wardrobe(HIGH, LOW))
     task = make_task(scene, "open", "cupboard", None, "60deg")
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot), watch=Stopwatch(time.process_time)
+        scene, fetch, task, load_reach(fetch), watch=Stopwatch(time.process_time)
     )
     answer = plan_moving(query)
     assert answer.plan.status == "solved", answer.plan.candidates
     motion = answer.plan.motion
-    assert motion is not None
     assert motion.base is not None
     assert motion.Ts_world_tool[0, 2, 3] < 1.2
 
 
-def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, robot: Robot) -> None:
+def test_without_a_bar_within_reach_the_answer_is_no(tmp_path: Path, fetch: Robot) -> None:
     scene = furniture_room(tmp_path, wardrobe(HIGH, HIGH - 0.25))
     task = make_task(scene, "open", "cupboard", None, "60deg")
     config = by_samples(PipelineConfig())
-    answer = plan_base_placement(scene, robot, task, config=config)
+    answer = plan_base_placement(scene, fetch, task, config=config)
     assert answer.plan.status == "infeasible"
     (note,) = answer.notes
     assert note.startswith("2 handles were searched; the reasons are those of ")
     name = note.rpartition("those of ")[2]
-    query = PlacementQuery.of(scene, robot, task, config=config)
+    query = PlacementQuery.of(scene, fetch, task, config=config)
     direct = plan_placement(replace(query, keep_grasps=partial(holds, name)))
     assert direct.plan.candidates.rejections == answer.plan.candidates.rejections
 
@@ -106,11 +97,11 @@ def holds(name: str, motion: TaskMotion) -> np.ndarray:
 
 @pytest.mark.parametrize("base", [(-0.1, -0.3, 0.3), (-0.9, 0.0, 0.0)])
 def test_the_reason_at_a_base_pose_is_that_of_the_handle_that_came_farthest(
-    tmp_path: Path, robot: Robot, base: tuple[float, float, float]
+    tmp_path: Path, fetch: Robot, base: tuple[float, float, float]
 ) -> None:
     scene = furniture_room(tmp_path, wardrobe(HIGH, LOW))
     task = make_task(scene, "open", "cupboard", None, "90deg")
-    query = PlacementQuery.of(scene, robot, task)
+    query = PlacementQuery.of(scene, fetch, task)
     attempt = check_pose(query, base, how_far=False)
     assert attempt.motion is None
     names = [str(one.prepared.motion.handle) for one in BasePoseChecks(query).by_handle()]

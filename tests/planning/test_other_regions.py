@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -31,9 +31,9 @@ def corridor(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def prepared(corridor: Scene, robots: Callable[[str], Robot]) -> PreparedTask:
+def prepared(corridor: Scene, segway: Robot) -> PreparedTask:
     task = make_task(corridor, "open", "cabinet", to=OPEN)
-    return prepare(corridor, robots("segway_ur5e"), task, PipelineConfig(), clearance=0.01)
+    return prepare(corridor, segway, task, PipelineConfig(), clearance=0.01)
 
 
 def others(prepared: PreparedTask, to: float, tried: Sequence[np.ndarray]) -> PoseMask | None:
@@ -46,7 +46,6 @@ def test_poses_on_the_other_side_of_a_door_that_splits_the_room_remain(
     prepared: PreparedTask, tried: np.ndarray
 ) -> None:
     kept = others(prepared, OPEN, [tried])
-    assert kept is not None
     poses = np.random.default_rng(0).uniform([-2.0, -1.0, -np.pi], [2.0, 0.0, np.pi], (400, 3))
     stands = base_pose_status(prepared.geometry, poses)[0] == BaseStatus.CLEAR
     left = poses[stands][kept(poses[stands])]
@@ -67,7 +66,6 @@ def test_no_pose_remains_if_the_door_splits_nothing(prepared: PreparedTask) -> N
 
 def test_base_poses_where_the_arm_cannot_return_home_are_excluded(prepared: PreparedTask) -> None:
     kept = others(prepared, OPEN, [OUTSIDE])
-    assert kept is not None
     room = build_navigation_map(prepared.scene.with_joint("cabinet", "hinge", OPEN), prepared.robot)
     beyond = np.random.default_rng(1).uniform([0.55, -0.9, -np.pi], [0.9, 0.0, np.pi], (400, 3))
     collides = gaps(beyond, room.prisms, room.obstacles) <= 0.0
@@ -83,10 +81,7 @@ def test_a_tried_pose_where_the_arm_cannot_return_home_excludes_no_region(
     collides = gaps(poses, room.prisms, room.obstacles) <= 0.0
     assert 10 < collides.sum() < 390
     kept = others(prepared, OPEN, [poses[collides][0]])
-    assert kept is not None
     np.testing.assert_array_equal(kept(poses), ~collides)
     again = others(prepared, OPEN, [poses[collides][0], OUTSIDE])
     alone = others(prepared, OPEN, [OUTSIDE])
-    assert again is not None
-    assert alone is not None
     np.testing.assert_array_equal(again(poses), alone(poses))

@@ -61,11 +61,6 @@ def kitchen(kitchen_file: Path) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def fetch() -> Robot:
-    return load_robot("fetch")
-
-
-@pytest.fixture(scope="module")
 def refused_file(lid: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Ask for the whole opening of the lid; return the file and the output of the answer."""
     path, out = tmp_path_factory.mktemp("refused") / "plan.json", io.StringIO()
@@ -81,14 +76,9 @@ def refused(refused_file: tuple[Path, str]) -> PlacementPlan:
 
 
 def test_an_infeasible_opening_is_answered_with_one_that_works(
-    lid: list[str],
-    kitchen: Scene,
-    refused: PlacementPlan,
-    capsys: pytest.CaptureFixture[str],
+    lid: list[str], kitchen: Scene, refused: PlacementPlan, capsys: pytest.CaptureFixture[str]
 ) -> None:
     goal = make_task(kitchen, "open", "dishwasher", "door_hinge").to
-    assert goal is not None
-    assert refused.feasible_to is not None
     assert 0.2 * goal < refused.feasible_to < 0.8 * goal
     degrees = f"{np.degrees(refused.feasible_to):.0f}"
     assert main([*lid, "--to", f"{degrees}deg"]) == 0
@@ -98,8 +88,6 @@ def test_an_infeasible_opening_is_answered_with_one_that_works(
 def test_the_output_states_the_feasible_opening_and_its_base_pose(
     refused_file: tuple[Path, str], refused: PlacementPlan
 ) -> None:
-    assert refused.feasible_to is not None
-    assert refused.feasible_from is not None
     x, y, yaw = refused.feasible_from
     to = f"{math.degrees(refused.feasible_to):.0f} deg"
     pose = f"({x:.3f}, {y:.3f}, {math.degrees(yaw):.1f} deg)"
@@ -116,8 +104,6 @@ def test_a_stated_opening_is_sure_only_where_the_part_itself_is_blocked(
         query = PlacementQuery.of(room, fetch, task)
         values = np.radians(np.arange(1.0, 80.0))
         found, proved = find_max_opening(query, plan_to_value, values, within=7, timeout=60.0)
-        assert found is not None
-        assert found.plan.task.to is not None
         assert proved == sure
         beyond = replace(task, to=found.plan.task.to + math.radians(1.0))
         blocked = PlanVerifier(room, fetch, beyond).blocked(0.0)
@@ -154,7 +140,6 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
     asked: list[float] = []
 
     def answer(query: PlacementQuery) -> Any:
-        assert query.task.to is not None
         index = int(np.abs(values - query.task.to).argmin())
         works = (thorough if query.config.place.grid else sampled)[index] and not blocked[index]
         asked.append(query.task.to)
@@ -167,7 +152,6 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
     with unchecked():  # answers and map are stand-ins
         found, sure = find_max_opening(query, answer, values, within=7, timeout=60.0)
     last = np.flatnonzero(thorough & ~blocked)[-1]
-    assert found is not None
     assert found.plan.task.to == pytest.approx(values[last])
     assert sure == (last + 1 == end < len(values))
 
@@ -231,7 +215,6 @@ def test_the_maximum_opening_has_a_valid_plan_and_one_degree_more_has_none(
     assert main([*lid, "--to", "max", "--out", str(path)]) == 0
     assert "deg (largest found): solved" in capsys.readouterr().out
     plan = read_plan(path)
-    assert plan.motion is not None
     assert plan.task.to == plan.motion.object_q[-1]
     assert not plan.task.farthest
     assert verify_files(path).valid
@@ -246,28 +229,24 @@ def test_a_part_that_opens_all_the_way_is_opened_to_its_limit(kitchen: Scene, fe
     assert plan.task.to == kitchen.object("cabinet_left").model.joint("drawer_slide").upper
 
 
-def test_a_search_for_the_maximum_without_time_finds_nothing(tmp_path: Path) -> None:
-    room, robot = cabinet_room(tmp_path), load_robot("segway_ur5e")
+def test_a_search_for_the_maximum_without_time_finds_nothing(tmp_path: Path, segway: Robot) -> None:
+    room = cabinet_room(tmp_path)
     task, config = make_task(room, "open", "cabinet", "hinge"), PipelineConfig()
     watch = Stopwatch(lambda: 0.0)
-    query = PlacementQuery(room, robot, task, Everywhere(), config=config, watch=watch)
+    query = PlacementQuery(room, segway, task, Everywhere(), config=config, watch=watch)
     values = np.radians([10.0])
     none, sure = find_max_opening(query, plan_to_value, values, within=1, timeout=0.0)
     assert none is None
     assert not sure
     found, _ = find_max_opening(query, plan_to_value, values, within=1, timeout=100.0)
-    assert found is not None
     assert found.plan.task.to == values[0]
 
 
 def test_the_check_of_a_base_pose_returns_how_far_the_part_opens_from_it(
     kitchen: Scene, fetch: Robot, refused: PlacementPlan
 ) -> None:
-    assert refused.feasible_from is not None
-    assert refused.feasible_to is not None
     found = check_base_pose(kitchen, fetch, refused.task, refused.feasible_from)
     assert found.motion is None
-    assert found.farthest is not None
     assert found.farthest >= refused.feasible_to - 1e-9
     blocked = check_base_pose(kitchen, fetch, refused.task, (0.6, -0.3, np.pi / 2))
     assert (blocked.motion, blocked.farthest) == (None, None)
@@ -279,8 +258,6 @@ def test_the_check_of_a_base_pose_returns_how_far_the_part_opens_from_it(
 def test_a_given_base_pose_is_answered_with_its_plan_or_the_reason(
     lid: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
-    assert refused.feasible_from is not None
-    assert refused.feasible_to is not None
     at = ["--at", ",".join(f"{v:.9f}" for v in refused.feasible_from)]
     assert main([*lid, *at, "--json"]) == 3
     no = json.loads(capsys.readouterr().out)

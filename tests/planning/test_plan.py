@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,7 @@ from momapos.model.plan_files.plan_format import plan_to_dict, write_plan
 from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene, save_scene
+from momapos.model.scene.scene_files import save_scene
 from momapos.planning.base_pose_check import plan_at_pose
 from momapos.planning.chains import plan_chain
 from momapos.planning.config import PipelineConfig
@@ -54,19 +53,17 @@ def test_every_robot_opens_the_cabinet_and_the_plan_file_is_valid(
     assert report.valid, report.violations
 
 
-def test_the_same_seed_gives_the_same_plan(robots: Callable[[str], Robot], tmp_path: Path) -> None:
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    plans = [plan_to_dict(plan_cabinet(scene, robot, seed=3).plan) for _ in range(2)]
+def test_the_same_seed_gives_the_same_plan(tmp_path: Path, segway: Robot) -> None:
+    scene = cabinet_room(tmp_path)
+    plans = [plan_to_dict(plan_cabinet(scene, segway, seed=3).plan) for _ in range(2)]
     for plan in plans:
         plan.pop("timing")
     assert plans[0] == plans[1]
 
 
-def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path: Path) -> None:
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    here = plan_cabinet(scene, robot)
-    assert here.plan.motion is not None
-    assert here.plan.base_pose is not None
+def test_an_answer_moves_with_its_scene(tmp_path: Path, segway: Robot) -> None:
+    scene = cabinet_room(tmp_path)
+    here = plan_cabinet(scene, segway)
     x, y, yaw = here.plan.base_pose
     for shift in ((2.0, -1.0, 0.0), (0.3, 0.7, 0.4)):
         moved = move_scene(scene, *shift)
@@ -75,19 +72,15 @@ def test_an_answer_moves_with_its_scene(robots: Callable[[str], Robot], tmp_path
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = [[c, -s], [s, c]], shift[:2]
         motion = replace(here.plan.motion, Ts_world_tool=T @ here.plan.motion.Ts_world_tool)
-        assert PlanVerifier(moved, robot, here.plan.task).check(carried, motion).valid
-        there = plan_cabinet(moved, robot)
-        assert there.plan.base_pose is not None
+        assert PlanVerifier(moved, segway, here.plan.task).check(carried, motion).valid
+        there = plan_cabinet(moved, segway)
         np.testing.assert_allclose(there.plan.base_pose[:2], carried[:2], atol=1e-6)
 
 
-def test_an_opening_motion_in_reverse_closes_the_door(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
-    opened = plan_cabinet(scene, robot).plan
+def test_an_opening_motion_in_reverse_closes_the_door(tmp_path: Path, segway: Robot) -> None:
+    scene = cabinet_room(tmp_path)
+    opened = plan_cabinet(scene, segway).plan
     assert opened.motion is not None
-    assert opened.base_pose is not None
     ajar = scene.with_joint("cabinet", "hinge", 1.2)
     task = make_task(ajar, "close", "cabinet")
     m = opened.motion
@@ -95,8 +88,8 @@ def test_an_opening_motion_in_reverse_closes_the_door(
         m, approach=m.q[-1:], q=m.q[::-1], object_q=m.object_q[::-1],
         Ts_world_tool=m.Ts_world_tool[::-1],
     )  # fmt: skip
-    assert PlanVerifier(ajar, robot, task).check(opened.base_pose, back).valid
-    closing = plan_cabinet(ajar, robot, to=0.0, verb="close").plan
+    assert PlanVerifier(ajar, segway, task).check(opened.base_pose, back).valid
+    closing = plan_cabinet(ajar, segway, to=0.0, verb="close").plan
     assert closing.status == "solved"
 
 
@@ -115,7 +108,7 @@ def test_a_handle_above_all_arms_is_infeasible_with_the_reason(
 
 
 def test_a_scene_without_a_free_base_pose_is_infeasible_with_the_reason(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, segway: Robot
 ) -> None:
     pile = (
         ', {"name": "pile", "category": "pile", "pose": {"xyz": [0, -1.5, 0.2],'
@@ -123,7 +116,7 @@ def test_a_scene_without_a_free_base_pose_is_infeasible_with_the_reason(
     )
     behind = pile.replace("pile", "back").replace("-1.5", "1.5")
     scene = replace(cabinet_room(tmp_path, extra=pile + behind), start=np.array([6.0, 6.0, 0.0]))
-    plan = plan_cabinet(scene, robots("segway_ur5e")).plan
+    plan = plan_cabinet(scene, segway).plan
     assert plan.status == "infeasible"
     assert max(plan.candidates.rejections, key=plan.candidates.rejections.get) in (  # type: ignore[arg-type]
         "base in collision", "beyond the arm's reach",
@@ -133,7 +126,7 @@ def test_a_scene_without_a_free_base_pose_is_infeasible_with_the_reason(
 
 @pytest.mark.parametrize("verb", ["open", "pick"])
 def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
-    verb: str, robots: Callable[[str], Robot], tmp_path: Path
+    verb: str, tmp_path: Path, ranger: Robot
 ) -> None:
     item = (
         ', {{"name": "{}", "category": "item", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
@@ -147,7 +140,7 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
     }[verb]
     scene = cabinet_room(tmp_path, extra=extra)
     task = make_task(scene, verb, "cabinet" if verb == "open" else "cup")
-    plan = plan_base_placement(scene, robots("ranger_rm63"), task, Everywhere()).plan
+    plan = plan_base_placement(scene, ranger, task, Everywhere()).plan
     assert plan.status == "infeasible"
     (reason,) = plan.candidates.rejections
     if verb == "open":
@@ -175,16 +168,15 @@ def looks_of(scene: Scene, robot: Robot, task: Task) -> int:
     return 10**9 - clock.looks
 
 
-def test_the_clock_ends_an_answer_at_any_look(robots: Callable[[str], Robot]) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("fetch")
-    task = make_task(scene, "open", "microwave")
-    number = looks_of(scene, robot, task)
+def test_the_clock_ends_an_answer_at_any_look(kitchen: Scene, fetch: Robot) -> None:
+    task = make_task(kitchen, "open", "microwave")
+    number = looks_of(kitchen, fetch, task)
     assert number > 200, "the work is divided"
     seen = set()
     for share in (0.0, 0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
         clock = Ending(int(share * number) + 3)
         try:
-            answer = plan_base_placement(scene, robot, task, Everywhere(), clock=clock)
+            answer = plan_base_placement(kitchen, fetch, task, Everywhere(), clock=clock)
         except OutOfTimeError:
             seen.add("before the search")
         else:
@@ -194,10 +186,9 @@ def test_the_clock_ends_an_answer_at_any_look(robots: Callable[[str], Robot]) ->
     assert {"before the search", "timeout"} <= seen
 
 
-def test_each_further_step_ends_with_its_clock(robots: Callable[[str], Robot]) -> None:
-    scene, robot = load_scene("kitchen_small"), robots("segway_ur5e")
-    task = make_task(scene, "open", "fridge/door_hinge")
-    query = PlacementQuery.of(scene, robot, task, Everywhere(), clock=Ending(10**9))
+def test_each_further_step_ends_with_its_clock(kitchen: Scene, segway: Robot) -> None:
+    task = make_task(kitchen, "open", "fridge/door_hinge")
+    query = PlacementQuery.of(kitchen, segway, task, Everywhere(), clock=Ending(10**9))
     answer = plan_base_placement(query)
     requests = [Request("open", "fridge", "door_hinge"), Request("close", "fridge", "door_hinge")]
     for looks in (5, 40, 200):
@@ -209,7 +200,6 @@ def test_each_further_step_ends_with_its_clock(robots: Callable[[str], Robot]) -
             assert plan_chain(timed, requests).status == "timeout"
         assert timed.watch.clock.looks > -60
         timed = replace(query, watch=Stopwatch(Ending(looks)))
-        assert answer.plan.base_pose is not None
         with suppress(OutOfTimeError):
             plan_at_pose(timed, answer.plan.base_pose)
         assert timed.watch.clock.looks > -40
@@ -226,9 +216,7 @@ def test_compiling_does_not_count_toward_the_time_limit() -> None:
     assert processor_time() - began < 0.04
 
 
-def test_a_start_inside_furniture_is_refused(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_start_inside_furniture_is_refused(tmp_path: Path, fetch: Robot) -> None:
     box = (
         ', {"name": "table", "category": "table", "pose": {"xyz": [2, -2, 0.3],'
         ' "wxyz": [1, 0, 0, 0]}, "box": [1, 1, 0.6]}'
@@ -236,17 +224,13 @@ def test_a_start_inside_furniture_is_refused(
     scene = cabinet_room(tmp_path, extra=box)
     task = make_task(scene, "open", "cabinet")
     with pytest.raises(SceneError, match="would hit table"):
-        plan_base_placement(
-            scene, robots("fetch"), task, Everywhere(), start=np.array([2.0, -2.0, 0.0])
-        )
+        plan_base_placement(scene, fetch, task, Everywhere(), start=np.array([2.0, -2.0, 0.0]))
 
 
-def test_a_saved_scene_gives_the_same_answer(
-    robots: Callable[[str], Robot], tmp_path: Path
-) -> None:
+def test_a_saved_scene_gives_the_same_answer(tmp_path: Path, segway: Robot) -> None:
     from momapos.model.scene.scene_files import load_scene
 
-    scene, robot = cabinet_room(tmp_path), robots("segway_ur5e")
+    scene = cabinet_room(tmp_path)
     save_scene(scene, tmp_path / "again.json")
     again = load_scene(tmp_path / "again.json")
-    assert plan_cabinet(scene, robot).plan.base_pose == plan_cabinet(again, robot).plan.base_pose
+    assert plan_cabinet(scene, segway).plan.base_pose == plan_cabinet(again, segway).plan.base_pose

@@ -17,7 +17,7 @@ from momapos.core.geometry import invert
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.records.plans import Motion, PlacementPlan
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning import search_setup
@@ -43,13 +43,8 @@ CONFIG = PipelineConfig()
 
 
 @pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
-@pytest.fixture(scope="module")
-def reach(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> ReachMap:
-    return load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+def reach(segway: Robot, tmp_path_factory: pytest.TempPathFactory) -> ReachMap:
+    return load_reach_map(segway, tmp_path_factory.mktemp("maps"))
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +53,9 @@ def kitchen() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def answer(kitchen: Scene, robot: Robot, reach: ReachMap) -> PlacementResult:
+def answer(kitchen: Scene, segway: Robot, reach: ReachMap) -> PlacementResult:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
-    return plan_base_placement(kitchen, robot, task, reach)
+    return plan_base_placement(kitchen, segway, task, reach)
 
 
 @pytest.fixture(scope="module")
@@ -107,24 +102,21 @@ def test_both_grasps_pass_the_check_of_files(plan: PlacementPlan, tmp_path: Path
 
 
 def test_the_check_of_a_base_pose_finds_two_grasps(
-    plan: PlacementPlan, kitchen: Scene, robot: Robot, reach: ReachMap
+    plan: PlacementPlan, kitchen: Scene, segway: Robot, reach: ReachMap
 ) -> None:
-    assert plan.base_pose is not None
-    attempt = check_base_pose(kitchen, robot, plan.task, plan.base_pose, reach, how_far=False)
-    assert attempt.motion is not None
+    attempt = check_base_pose(kitchen, segway, plan.task, plan.base_pose, reach, how_far=False)
     assert len(attempt.motion.holds) == 2
 
 
 def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
-    answer: PlacementResult, kitchen: Scene, robot: Robot, reach: ReachMap
+    answer: PlacementResult, kitchen: Scene, segway: Robot, reach: ReachMap
 ) -> None:
     found = answer.tolerance
-    assert found is not None
     assert found.radius > 0.0
     size, missed = np.array([found.radius, found.radius, found.turn]), []
     for offset in unit_offsets(10, np.random.default_rng(1)):
         base = np.array(answer.plan.base_pose) + offset * size
-        attempt = check_base_pose(kitchen, robot, answer.plan.task, base, reach, how_far=False)
+        attempt = check_base_pose(kitchen, segway, answer.plan.task, base, reach, how_far=False)
         if attempt.motion is None:
             missed.append(attempt.reason)
         else:
@@ -133,9 +125,9 @@ def test_within_the_tolerance_the_door_also_opens_with_two_grasps(
 
 
 def test_a_grasp_in_which_the_hand_misses_the_part_is_refused_once(
-    kitchen: Scene, robot: Robot, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, plan: PlacementPlan
 ) -> None:
-    two = next(iter_two_grasps(ready(kitchen, robot, "cabinet_back", "door_hinge"), CONFIG, 0))
+    two = next(iter_two_grasps(ready(kitchen, segway, "cabinet_back", "door_hinge"), CONFIG, 0))
     feasibility, bases = two.first, np.array([plan.base_pose])
     scores = np.ones((1, len(feasibility.motion.Ts_world_tool)))
     reaches = [one.grasp for one in feasibility.screen(bases, scores, None) if one.q is not None]
@@ -153,7 +145,7 @@ def test_a_grasp_in_which_the_hand_misses_the_part_is_refused_once(
 
 @pytest.mark.slow
 def test_base_poses_without_a_quick_way_between_the_grasps_are_tried_again(
-    kitchen: Scene, robot: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
+    kitchen: Scene, segway: Robot, reach: ReachMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick, search = quick_config(CONFIG.arm_planner), TwoGrasps._between
 
@@ -162,28 +154,28 @@ def test_base_poses_without_a_quick_way_between_the_grasps_are_tried_again(
 
     monkeypatch.setattr(TwoGrasps, "_between", without_quick_ways)
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
-    slow = plan_base_placement(kitchen, robot, task, reach, clock=time.process_time)
+    slow = plan_base_placement(kitchen, segway, task, reach, clock=time.process_time)
     assert [hold.family for hold in motion_of(slow.plan).holds] == ["pinch", "push"]
 
 
-def test_a_door_that_would_fall_is_not_released(kitchen: Scene, robot: Robot) -> None:
+def test_a_door_that_would_fall_is_not_released(kitchen: Scene, segway: Robot) -> None:
     weighed = without_springs(kitchen, "dishwasher")
-    assert not list(iter_two_grasps(ready(weighed, robot, "dishwasher", "door_hinge"), CONFIG, 0))
+    assert not list(iter_two_grasps(ready(weighed, segway, "dishwasher", "door_hinge"), CONFIG, 0))
 
 
-def test_a_drawer_is_not_pushed_from_behind(kitchen: Scene, robot: Robot) -> None:
-    prepared = ready(kitchen, robot, "cabinet_left", "drawer_top_slide")
+def test_a_drawer_is_not_pushed_from_behind(kitchen: Scene, segway: Robot) -> None:
+    prepared = ready(kitchen, segway, "cabinet_left", "drawer_top_slide")
     assert not list(iter_two_grasps(prepared, CONFIG, 0))
 
 
-def test_a_small_opening_needs_no_second_grasp(kitchen: Scene, robot: Robot) -> None:
+def test_a_small_opening_needs_no_second_grasp(kitchen: Scene, segway: Robot) -> None:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge", "25deg")
-    prepared = prepare(kitchen, robot, task, CONFIG, clearance=0.0)
+    prepared = prepare(kitchen, segway, task, CONFIG, clearance=0.0)
     assert not list(iter_two_grasps(prepared, CONFIG, 0))
 
 
 def test_a_door_next_to_a_wall_is_pushed_if_no_grasp_is_free_to_pull_it(
-    robot: Robot, reach: ReachMap, tmp_path: Path
+    segway: Robot, reach: ReachMap, tmp_path: Path
 ) -> None:
     wall = (
         ', {"name": "wall", "category": "wall", "box": [0.1, 0.4, 1.1],'
@@ -191,27 +183,25 @@ def test_a_door_next_to_a_wall_is_pushed_if_no_grasp_is_free_to_pull_it(
     )
     scene = cabinet_room(tmp_path, extra=wall)
     task = make_task(scene, "open", "cabinet", to=np.pi / 2)
-    prepared = prepare(scene, robot, task, CONFIG, clearance=0.0)
+    prepared = prepare(scene, segway, task, CONFIG, clearance=0.0)
     assert "wall" in prepared.no_grasp
     assert prepared.blocked == ""
-    found = plan_base_placement(scene, robot, task, reach).plan
+    found = plan_base_placement(scene, segway, task, reach).plan
     assert [hold.family for hold in motion_of(found).holds] == ["pinch", "push"]
     assert found.base_pose is not None
-    assert check_base_pose(scene, robot, task, found.base_pose, reach).motion is not None
+    assert check_base_pose(scene, segway, task, found.base_pose, reach).motion is not None
 
 
 def test_after_a_push_the_arm_returns_home_if_configured(
-    kitchen: Scene, robot: Robot, reach: ReachMap
+    kitchen: Scene, segway: Robot, reach: ReachMap
 ) -> None:
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
     config = PipelineConfig(motion=MotionConfig(home_again=True))
-    plan = plan_base_placement(kitchen, robot, task, reach, config=config).plan
+    plan = plan_base_placement(kitchen, segway, task, reach, config=config).plan
     motion = motion_of(plan)
     assert len(motion.holds) == 2
-    assert motion.home is not None
-    np.testing.assert_allclose(motion.home[-1], robot.chain.joint_values(robot.home))
-    assert plan.base_pose is not None
-    assert PlanVerifier(kitchen, robot, task).check(plan.base_pose, motion).valid
+    np.testing.assert_allclose(motion.home[-1], segway.chain.joint_values(segway.home))
+    assert PlanVerifier(kitchen, segway, task).check(plan.base_pose, motion).valid
 
 
 def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Path) -> None:
@@ -234,9 +224,9 @@ def test_both_grasps_are_printed_and_drawn(answer: PlacementResult, tmp_path: Pa
 
 
 def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
-    kitchen: Scene, robot: Robot
+    kitchen: Scene, segway: Robot
 ) -> None:
-    prepared = ready(kitchen, robot, "cabinet_back", "door_hinge")
+    prepared = ready(kitchen, segway, "cabinet_back", "door_hinge")
     part = prepared.verifier.part
     for two in iter_two_grasps(prepared, CONFIG, 0):
         push = two.second.motion
@@ -258,7 +248,7 @@ def test_every_push_holds_the_tool_as_near_to_the_part_as_the_exact_check_wants(
 )
 def test_two_grasps_are_prepared_where_some_base_pose_reaches_both(
     kitchen: Scene,
-    robot: Robot,
+    segway: Robot,
     monkeypatch: pytest.MonkeyPatch,
     in_reach: tuple[bool, bool],
     ends: str,
@@ -273,21 +263,21 @@ def test_two_grasps_are_prepared_where_some_base_pose_reaches_both(
         for value, end in enumerate(ends)
     ]
     monkeypatch.setattr(search_setup, "ajar_doors", lambda *_: iter(doors))
-    query = PlacementQuery.of(kitchen, robot, make_task(kitchen, "open", "fridge", "door_hinge"))
+    query = PlacementQuery.of(kitchen, segway, make_task(kitchen, "open", "fridge", "door_hinge"))
     setup = SimpleNamespace(query=query, prepared=None, problem=None)
     assert list(SearchSetup._two_grasps(setup, PlaceConfig())) == prepared  # type: ignore[arg-type]
 
 
 def test_without_pushing_there_is_no_second_grasp_and_no_other_family(
-    kitchen: Scene, robot: Robot
+    kitchen: Scene, segway: Robot
 ) -> None:
     grasps = GraspConfig(families=("pinch",), turning=False)
     config = PipelineConfig(motion=MotionConfig(grasps=grasps))
     task = make_task(kitchen, "open", "cabinet_back", "door_hinge")
-    prepared = prepare(kitchen, robot, task, config, clearance=0.0)
+    prepared = prepare(kitchen, segway, task, config, clearance=0.0)
     assert set(prepared.motion.grasps.family) == {"pinch"}
     assert not len(prepared.motion.turning.groups)
     assert not list(iter_two_grasps(prepared, config, 0))
     hooks = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(families=("suction",))))
-    refused = prepare(kitchen, robot, task, hooks, clearance=0.0)
+    refused = prepare(kitchen, segway, task, hooks, clearance=0.0)
     assert "by other grasps than those allowed" in refused.no_grasp

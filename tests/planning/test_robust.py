@@ -12,8 +12,8 @@ from momapos.apps.cli.main import main
 from momapos.core.stopwatch import Stopwatch
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.outcomes import PoseStatus
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.base_pose_check import BasePoseChecks
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
@@ -27,17 +27,17 @@ WORDS = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
 SEGWAY = [*WORDS, "--robot", "segway_ur5e"]
 
 
-def test_replanning_succeeds_within_the_required_offsets(tmp_path: Path) -> None:
+def test_replanning_succeeds_within_the_required_offsets(
+    tmp_path: Path, kitchen: Scene, segway: Robot
+) -> None:
     file = tmp_path / "plan.json"
     assert main([*SEGWAY, "--robust", "3cm,2deg", "--out", str(file)]) == 0
     plan = read_plan(file)
-    assert plan.tolerance is not None
     assert plan.tolerance.radius == pytest.approx(0.03)
     assert plan.tolerance.turn == pytest.approx(np.radians(2.0))
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot, None), watch=Stopwatch(lambda: 0.0)
+        kitchen, segway, task, load_reach(segway, None), watch=Stopwatch(lambda: 0.0)
     )  # fmt: skip
     checks, rng = BasePoseChecks(query), np.random.default_rng(5)
     assert plan.base_pose is not None
@@ -48,14 +48,13 @@ def test_replanning_succeeds_within_the_required_offsets(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_without_a_robust_base_pose_the_task_is_infeasible_with_the_reason(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, kitchen: Scene, segway: Robot
 ) -> None:
     monkeypatch.setattr("momapos.planning.robust.works_around", lambda *_: False)
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
     place = PlaceConfig(robust_radius=0.05, robust_turn=3.0, rounds=1, grid=False)
     config = replace(PipelineConfig(), place=place)
-    result = plan_base_placement(scene, robot, task, config=config)
+    result = plan_base_placement(kitchen, segway, task, config=config)
     assert result.plan.status == "infeasible"
     assert result.plan.tolerance is None
     reasons = result.plan.candidates.rejections
@@ -70,12 +69,13 @@ def test_no_arm_path_is_searched_if_the_base_alone_is_not_robust(tmp_path: Path)
     assert counts.rejections[PoseStatus.LITTLE_ROOM.value.format(detail="+-80 cm, +-30 deg")] > 0
 
 
-def test_replanning_fails_around_every_pose_that_the_base_rule_excludes() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+def test_replanning_fails_around_every_pose_that_the_base_rule_excludes(
+    kitchen: Scene, segway: Robot
+) -> None:
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
     config = PipelineConfig(place=PlaceConfig(robust_radius=0.1, robust_turn=5.0))
     query = PlacementQuery(
-        scene, robot, task, load_reach(robot, None), config=config, watch=Stopwatch(lambda: 0.0)
+        kitchen, segway, task, load_reach(segway, None), config=config, watch=Stopwatch(lambda: 0.0)
     )
     checks, robust = BasePoseChecks(query), RobustChecks(query)
     poses = np.array([1.95, -1.35, 0.6]) + np.random.default_rng(1).uniform(-0.4, 0.4, (60, 3))

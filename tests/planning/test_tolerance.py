@@ -19,7 +19,7 @@ from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.outcomes import Tolerance
 from momapos.model.records.plans import Motion
 from momapos.model.robots.robot import Robot, load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.arm_motion.feasibility import adapt_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, placement_tolerance, plan_base_placement
@@ -41,16 +41,14 @@ QUESTION = ["kitchen_small", "cabinet_right/drawer_middle_slide", "--robot", "se
 
 
 @pytest.fixture(scope="module")
-def answer() -> PlacementResult:
+def answer(kitchen: Scene, segway: Robot) -> PlacementResult:
     """Return the plan of a Segway with a UR5e that opens a drawer."""
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
-    return plan_base_placement(scene, robot, task)
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
+    return plan_base_placement(kitchen, segway, task)
 
 
 def motion_of(answer: PlacementResult) -> tuple[Robot, np.ndarray, Motion]:
     """Return the robot, the base pose and the motion of an answer."""
-    assert answer.plan.motion is not None
     return answer.prepared.robot, np.array(answer.plan.base_pose), answer.plan.motion
 
 
@@ -120,7 +118,6 @@ def test_an_adapted_motion_keeps_the_tool_poses(answer: PlacementResult) -> None
     straight, rng = answer.prepared.motion.grasp_step, np.random.default_rng(2)
     for offset in rng.uniform(-1.0, 1.0, (5, 3)) * [0.03, 0.03, 0.03]:
         other = adapt_motion(robot, motion, base, base + offset, straight)
-        assert other is not None
         np.testing.assert_array_equal(other.approach[0], motion.approach[0])
         np.testing.assert_allclose(other.approach[-1], other.q[0], atol=0.1)
         Ts = pose_planar(base + offset) @ robot.chain.tool_poses(
@@ -140,7 +137,6 @@ def test_an_adapted_motion_counts_only_if_the_exact_check_accepts_it(
     answer: PlacementResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, base, motion = motion_of(answer)
-    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     nearby = (base + np.array([0.01, 0.0, 0.0]))[None]
     assert replanner.failure(nearby, "all") is None
@@ -153,7 +149,6 @@ def test_an_adapted_motion_counts_only_if_the_exact_check_accepts_it(
 
 def test_a_blocked_base_fails_before_any_arm_is_checked(answer: PlacementResult) -> None:
     _, base, motion = motion_of(answer)
-    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     inside = answer.prepared.scene.object("cabinet_right").T_world_object[:2, 3]
     poses = np.array([base, [*inside, 0.0], base])
@@ -162,10 +157,11 @@ def test_a_blocked_base_fails_before_any_arm_is_checked(answer: PlacementResult)
     assert replanner.replanned == 0
 
 
-def test_poses_within_the_tolerance_of_an_answer_are_feasible(answer: PlacementResult) -> None:
+def test_poses_within_the_tolerance_of_an_answer_are_feasible(
+    answer: PlacementResult, kitchen: Scene
+) -> None:
     assert answer.plan.tolerance is None
     found = answer.tolerance
-    assert found is not None
     assert found.radius in RADII
     assert found.turn == pytest.approx(found.radius * TURN_PER_RADIUS)
     assert found.at_least == pytest.approx(0.97, abs=0.001)
@@ -173,12 +169,12 @@ def test_poses_within_the_tolerance_of_an_answer_are_feasible(answer: PlacementR
     timing = with_tolerance(answer).plan.timing
     assert timing["tolerance"] > 0.0
     assert timing["total"] == answer.plan.timing["total"]
-    plan, scene = answer.plan, load_scene("kitchen_small")
+    plan = answer.plan
     size = np.array([found.radius, found.radius, found.turn])
     for offset in unit_offsets(12, np.random.default_rng(7)):
         pose = np.array(plan.base_pose) + offset * size
         there = check_base_pose(
-            scene, answer.prepared.robot, plan.task, pose, Everywhere(), how_far=False
+            kitchen, answer.prepared.robot, plan.task, pose, Everywhere(), how_far=False
         )
         assert there.motion is not None, there.reason
 
@@ -222,11 +218,10 @@ def test_a_base_pose_accepted_because_time_is_up_is_marked(answer: PlacementResu
     assert not complete.ended_early
 
 
-def test_without_a_motion_there_is_no_tolerance() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
+def test_without_a_motion_there_is_no_tolerance(kitchen: Scene, segway: Robot) -> None:
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
     far = np.array([2.0, -1.0, 0.0])
-    assert placement_tolerance(scene, robot, task, far, Everywhere()).radius == 0.0
+    assert placement_tolerance(kitchen, segway, task, far, Everywhere()).radius == 0.0
 
 
 def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
@@ -237,7 +232,6 @@ def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
     assert main(["place", "open", *QUESTION, *few, "--out", str(out)]) == 0
     output = capsys.readouterr().out
     plan = read_plan(out)
-    assert plan.tolerance is not None
     assert plan.tolerance.samples == 12
     assert f"tolerance   +-{100 * plan.tolerance.radius:g} cm, +-" in output
     assert "replanning succeeded from 12/12 sampled poses" in output
@@ -290,19 +284,16 @@ def test_samples_of_a_tolerance_that_is_not_measured_are_refused() -> None:
 
 def test_zero_samples_are_refused(answer: PlacementResult) -> None:
     _, base, motion = motion_of(answer)
-    assert answer.query is not None
     with pytest.raises(InputError, match="from 1 to"):
         measured_tolerance(answer.query, base, motion, samples=0)
 
 
 @pytest.mark.parametrize("name", ["ranger_rm63", "fetch"])
-def test_the_known_motion_passes_at_its_own_base_pose(name: str) -> None:
+def test_the_known_motion_passes_at_its_own_base_pose(name: str, kitchen: Scene) -> None:
     """The hand's spheres overlap the grasped object, so they must not be checked there."""
-    scene, robot = load_scene("kitchen_small"), load_robot(name)
-    answer = plan_base_placement(scene, robot, make_task(scene, "open", "microwave"))
+    robot = load_robot(name)
+    answer = plan_base_placement(kitchen, robot, make_task(kitchen, "open", "microwave"))
     base, motion = np.array(answer.plan.base_pose), answer.plan.motion
-    assert motion is not None
-    assert answer.query is not None
     replanner = NearbyReplanner.around(answer.query, base, motion)
     assert replanner.failure(base[None], "all") is None
     assert replanner.replanned == 0

@@ -18,9 +18,8 @@ from momapos.core.errors import FileFormatError, OutOfTimeError, TaskError
 from momapos.core.stopwatch import look
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.plan_files.tour_format import read_tour
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.placement.config import PlaceConfig
@@ -37,16 +36,6 @@ WORDS = [
     "place", "open", "kitchen_small", "/".join(DRAWER), "then", "pick", "bottle", "then", "close",
     "/".join(DRAWER), "--robot", "segway_ur5e",
 ]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def segway() -> Robot:
-    return load_robot("segway_ur5e")
 
 
 @pytest.fixture(scope="module")
@@ -69,18 +58,12 @@ def test_one_base_pose_serves_all_tasks_and_each_begins_as_the_last_ended(
     assert tour.driving == plans[0].navigation_cost
     for before, after in pairwise(plans):
         assert after.start == before.base_pose
-        assert before.motion is not None
-        assert before.motion.home is not None
-        assert after.motion is not None
         assert (abs(before.motion.home[-1] - after.motion.approach[0]) < 1e-9).all()
     opened = kitchen.with_joint(*DRAWER, plans[0].task.to or 0.0)
     for plan, scene in zip(plans, (kitchen, opened, opened), strict=True):
-        assert plan.base_pose is not None
-        assert plan.motion is not None
         verifier = PlanVerifier(scene, segway, plan.task)
         assert verifier.check(plan.base_pose, plan.motion).valid
         assert all(check.ok for check in verifier.drive_checks(plan))
-    assert plans[2].motion is not None
     assert plans[2].motion.home is None  # nothing follows
     assert len(tour.assumed) == 1
 
@@ -93,7 +76,6 @@ def test_if_no_base_pose_serves_all_tasks_the_stops_are_few(kitchen: Scene, segw
     assert tour.stops == (1, 1, 2)
     first, _, last = (step.plan for step in tour.steps)
     assert last.start == first.base_pose
-    assert last.navigation_cost is not None
     assert last.navigation_cost > 0.1
     assert tour.driving == pytest.approx((first.navigation_cost or 0.0) + last.navigation_cost)
 
@@ -116,7 +98,6 @@ def test_a_stop_from_which_the_next_task_is_infeasible_moves_to_another_region(
     assert tour.stops == (1, 2)
     first, last = (step.plan for step in tour.steps)
     assert last.start == first.base_pose
-    assert first.base_pose is not None
     assert (first.base_pose[0] > 0.3) == searched
 
 

@@ -12,8 +12,8 @@ from tests.simulation.toy import Toy, gripping
 from tests.verification.door_case import BASE, HINGE, make_case
 
 from momapos.core.geometry.transforms import invert, pose_planar
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.model.trajectory import time_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -50,7 +50,6 @@ POST_CLEARANCE = 0.012
 def world_of(case: Toy) -> Simulation:
     """Build the world of a toy, with the arm at its grasp."""
     path = case.robot.model.urdf.path
-    assert path is not None
     return build_simulation(
         case.scene, case.robot, BASE, case.motion.q, case.task, hand_of(case),
         read_dynamics(path), PartResistance(5.0, 0.1, 0.1, 0.0), None, CONFIG,
@@ -237,20 +236,18 @@ def test_the_arm_stops_before_the_part_hits_the_robots_base(
     assert all("post" not in (touch.one, touch.other) for touch in done.collisions)
 
 
-def test_the_hand_avoids_the_object_to_pick_as_long_as_that_stands() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "pick", "apple")
-    plan = plan_base_placement(scene, robot, task).plan
-    assert plan.motion is not None
-    assert plan.base_pose is not None
-    path = robot.model.urdf.path
-    assert path is not None
+def test_the_hand_avoids_the_object_to_pick_as_long_as_that_stands(
+    kitchen: Scene, segway: Robot
+) -> None:
+    task = make_task(kitchen, "pick", "apple")
+    plan = plan_base_placement(kitchen, segway, task).plan
+    path = segway.model.urdf.path
     dynamics = read_dynamics(path)
     setting = WorldSetup(
-        scene, robot, plan.base_pose, plan.motion, task, find_hand(robot, dynamics.mimics),
+        kitchen, segway, plan.base_pose, plan.motion, task, find_hand(segway, dynamics.mimics),
         dynamics, CONFIG,
     )  # fmt: skip
-    world = setting.build(TrueWorld(scene, task), PartResistance(0.2, 0.0, 0.0, 0.0))
+    world = setting.build(TrueWorld(kitchen, task), PartResistance(0.2, 0.0, 0.0, 0.0))
     avoidance, q = CollisionAvoidance(world, ComplianceConfig()), plan.motion.q[0]
     # The open fingers are around the apple.
     ignored = avoidance.bounds(q, 0.0, hand=True)

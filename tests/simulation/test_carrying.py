@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,6 @@ def carried_out(
     scene = load_scene("kitchen_small")
     task = make_task(scene, verb, name)
     plan = plan_base_placement(scene, robot, task, load_reach_map(robot, cache)).plan
-    assert plan.motion is not None
-    assert plan.base_pose is not None
     rng = np.random.default_rng(0)
     return (
         execute(scene, robot, plan.base_pose, plan.motion, task, config, rng, **options),
@@ -43,10 +40,10 @@ def carried_out(
 
 
 def test_a_picked_object_is_lifted_as_planned_and_stays_in_the_hand(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, segway: Robot
 ) -> None:
     heavy = ExecutionConfig(furniture=FurnitureConfig(density=400.0))
-    done, motion = carried_out("pick", "cereal_box", robots("segway_ur5e"), tmp_path, heavy)
+    done, motion = carried_out("pick", "cereal_box", segway, tmp_path, heavy)
     assert done.success, done.reason
     assert (done.hold, done.ending) == ("contact", Ending.DONE)
     assert done.resistance["mass"] > 0.8
@@ -56,7 +53,7 @@ def test_a_picked_object_is_lifted_as_planned_and_stays_in_the_hand(
 
 
 def test_a_placed_object_stays_in_the_hand_until_it_stands_at_its_goal(
-    robots: Callable[[str], Robot], tmp_path: Path
+    tmp_path: Path, fetch: Robot
 ) -> None:
     seen: list[tuple[bool, np.ndarray]] = []
 
@@ -65,9 +62,7 @@ def test_a_placed_object_stays_in_the_hand_until_it_stands_at_its_goal(
             held = np.linalg.inv(world.T_world_tool) @ world.T_world_part
             seen.append((world.welded, held))
 
-    done, _ = carried_out(
-        "place", "bottle", robots("fetch"), tmp_path, ExecutionConfig(), watch=watch
-    )
+    done, _ = carried_out("place", "bottle", fetch, tmp_path, ExecutionConfig(), watch=watch)
     assert done.success, done.reason
     assert not any(welded for welded, _ in seen)
     first, last = seen[0][1], seen[-1][1]

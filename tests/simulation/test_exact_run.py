@@ -17,7 +17,7 @@ from momapos.core.errors import InputError, RobotError, SceneError
 from momapos.core.geometry.transforms import pose_planar
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.plans import PlacementPlan
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.config import Stage
@@ -48,7 +48,6 @@ def followed(folder: Path, case: Case, trace: RunTrace | None = None) -> Executi
     plan, made = ready(folder, case)
     record = run_exactly(plan, made.scene, made.robot, watch=trace)
     assert record.exact
-    assert record.execution is not None
     return record.execution
 
 
@@ -169,17 +168,15 @@ def test_a_start_in_collision_and_a_hand_beyond_its_limits_are_refused(tmp_path:
         run_exactly(replace(plan, motion=None), made.scene, made.robot)
 
 
-def test_a_latch_is_turned_by_the_states_of_the_plan(tmp_path: Path) -> None:
-    scene, robot = latched_room(tmp_path, "a lever"), load_robot("fetch")
+def test_a_latch_is_turned_by_the_states_of_the_plan(tmp_path: Path, fetch: Robot) -> None:
+    scene = latched_room(tmp_path, "a lever")
     task = make_task(scene, "open", "cupboard")
-    plan = plan_base_placement(scene, robot, task).plan
+    plan = plan_base_placement(scene, fetch, task).plan
     assert plan.motion is not None
-    done = run_exactly(plan, scene, robot).execution
-    assert done is not None
+    done = run_exactly(plan, scene, fetch).execution
     assert done.success, done.reason
     plain = replace(scene.object("cupboard"), latch=None)
-    plan = plan_base_placement(replace(scene, objects=(plain,)), robot, task).plan
-    locked = run_exactly(plan, scene, robot).execution
-    assert locked is not None
+    plan = plan_base_placement(replace(scene, objects=(plain,)), fetch, task).plan
+    locked = run_exactly(plan, scene, fetch).execution
     assert not locked.success
     assert "its latch turn is not turned" in locked.reason

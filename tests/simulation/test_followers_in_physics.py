@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.cupboards import FOLLOWERS, furniture_room
 
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene_files import save_scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -26,19 +26,13 @@ from momapos.simulation.simulation import Simulation
         pytest.param("a lid that turns as its drawer slides", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
-def test_a_part_and_its_followers_open_in_physics(tmp_path: Path, kind: str) -> None:
+def test_a_part_and_its_followers_open_in_physics(tmp_path: Path, kind: str, fetch: Robot) -> None:
     parts, follower, leader = FOLLOWERS[kind]
-    scene, robot = (
-        save_scene(furniture_room(tmp_path, parts), tmp_path / "s.json"),
-        load_robot("fetch"),
-    )
+    scene = save_scene(furniture_room(tmp_path, parts), tmp_path / "s.json")
     task = make_task(scene, "open", "cupboard", leader)
-    plan = plan_base_placement(scene, robot, task).plan
-    assert plan.motion is not None
-    assert plan.base_pose is not None
+    plan = plan_base_placement(scene, fetch, task).plan
     item = scene.object("cupboard")
     mimic = item.joint(follower).mimic
-    assert mimic is not None
     apart: list[float] = []
 
     def watch(world: Simulation, *_: float | Stage) -> None:
@@ -46,6 +40,6 @@ def test_a_part_and_its_followers_open_in_physics(tmp_path: Path, kind: str) -> 
         value = {name: float(world.data.joint(name).qpos[0]) for name in names if "part" in name}
         apart.append(abs(mimic.at(value["part"]) - value[f"part/{follower}"]))
 
-    outcome = attempt(scene, robot, plan.base_pose, plan.motion, task, watch=watch)
+    outcome = attempt(scene, fetch, plan.base_pose, plan.motion, task, watch=watch)
     assert outcome.execution.success, outcome.execution.reason
     assert np.max(apart) < 0.02

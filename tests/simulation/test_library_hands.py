@@ -16,7 +16,7 @@ from momapos.core.geometry.transforms import apply, invert, rotation_of
 from momapos.model.robots.hand_openings import pivots
 from momapos.model.robots.robot import load_robot
 from momapos.model.robots.robot_names import library_file
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.reachability.map_store import by_arm_length
@@ -60,18 +60,20 @@ def leaning(lean: float) -> str:
     ],
 )
 def test_a_library_robot_opens_a_drawer_in_physics(
-    name: str, arm: str | None, to: float | None
+    name: str, arm: str | None, to: float | None, kitchen: Scene
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot(name, arm=arm)
-    task = make_task(scene, "open", "cabinet_left", "drawer_slide", to)
+    robot = load_robot(name, arm=arm)
+    task = make_task(kitchen, "open", "cabinet_left", "drawer_slide", to)
     reach = by_arm_length(robot, "none is needed for one drawer")
-    plan = plan_base_placement(scene, robot, task, reach).plan
+    plan = plan_base_placement(kitchen, robot, task, reach).plan
     assert plan.status == "solved"
-    record = run_plan(plan, scene, robot, reach, tries=1)
+    record = run_plan(plan, kitchen, robot, reach, tries=1)
     assert record.success, record.execution and record.execution.reason
 
 
-def test_a_robot_with_one_moving_jaw_opens_a_drawer_in_physics(tmp_path: Path) -> None:
+def test_a_robot_with_one_moving_jaw_opens_a_drawer_in_physics(
+    tmp_path: Path, kitchen: Scene
+) -> None:
     folder = tmp_path / "one_jaw"
     shutil.copytree(library_file("fetch").parent, folder, ignore=shutil.ignore_patterns("*.reach"))
     urdf, file = folder / "fetch.urdf", folder / "fetch.toml"
@@ -81,15 +83,15 @@ def test_a_robot_with_one_moving_jaw_opens_a_drawer_in_physics(tmp_path: Path) -
     moves = text.index('name="l_gripper_finger_joint"')
     urdf.write_text(text[:moves] + text[moves:].replace('upper="0.05"', 'upper="0.1"', 1))
     file.write_text(file.read_text().replace('name = "fetch"', 'name = "one_jaw"'))
-    robot, scene = load_robot(file), load_scene("kitchen_small")
+    robot = load_robot(file)
     hand = find_hand(robot, {})
     assert [finger.joint for finger in hand.fingers] == ["l_gripper_finger_joint"]
     assert hand.pads == {"l_gripper_finger_link": -1.0, "r_gripper_finger_link": 1.0}
-    task = make_task(scene, "open", "cabinet_left", "drawer_slide")
+    task = make_task(kitchen, "open", "cabinet_left", "drawer_slide")
     reach = by_arm_length(robot, "none is needed for one drawer")
-    plan = plan_base_placement(scene, robot, task, reach).plan
+    plan = plan_base_placement(kitchen, robot, task, reach).plan
     assert plan.status == "solved"
-    record = run_plan(plan, scene, robot, reach, tries=1)
+    record = run_plan(plan, kitchen, robot, reach, tries=1)
     assert record.success, record.execution and record.execution.reason
 
 
@@ -120,15 +122,16 @@ def test_the_grip_force_of_a_finger_acts_at_its_tip(tmp_path: Path) -> None:
         assert finger.lever == pytest.approx(LENGTH + TIP, rel=0.06)
 
 
-def test_tips_stay_parallel_while_fingers_close_on_an_object(tmp_path: Path) -> None:
+def test_tips_stay_parallel_while_fingers_close_on_an_object(
+    tmp_path: Path, kitchen: Scene
+) -> None:
     """Without pivots they lean by 0.35 rad and push the object out of the hand."""
     robot = derived(tmp_path, leaning(0.35))
-    scene = load_scene("kitchen_small")
-    task = make_task(scene, "open", "fridge", "door_hinge")
+    task = make_task(kitchen, "open", "fridge", "door_hinge")
     dynamics = read_dynamics(robot.model.urdf.path)  # type: ignore[arg-type]
     hand = find_hand(robot, dynamics.mimics)
     world = build_simulation(
-        scene, robot, (1.9, -1.6, 1.5), robot.home[None], task, hand, dynamics,
+        kitchen, robot, (1.9, -1.6, 1.5), robot.home[None], task, hand, dynamics,
         PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0), None, ExecutionConfig(),
     )  # fmt: skip
     for finger, motor in world.fingers:

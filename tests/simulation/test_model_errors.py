@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tests.simulation.toy import execute
 
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.simulation.config import ExecutionConfig, FurnitureConfig, ModelErrorConfig, Stage
@@ -33,10 +33,11 @@ def test_a_mirrored_joint_has_the_opposite_offset() -> None:
 
 
 @pytest.mark.slow
-def test_a_drawer_on_a_tilted_slide_stays_closed_until_it_is_pulled() -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    task = make_task(scene, "open", "cabinet_right", "drawer_middle_slide")
-    plan = plan_base_placement(scene, robot, task).plan
+def test_a_drawer_on_a_tilted_slide_stays_closed_until_it_is_pulled(
+    kitchen: Scene, segway: Robot
+) -> None:
+    task = make_task(kitchen, "open", "cabinet_right", "drawer_middle_slide")
+    plan = plan_base_placement(kitchen, segway, task).plan
     assert plan.motion is not None
     assert plan.base_pose is not None
     # A heavy drawer without a latch: with the last two seeds it would slide open.
@@ -52,7 +53,7 @@ def test_a_drawer_on_a_tilted_slide_stays_closed_until_it_is_pulled() -> None:
                 before.append(float(world.data.qpos[world.part_q]))
 
         execute(
-            scene, robot, plan.base_pose, plan.motion, task, config,
+            kitchen, segway, plan.base_pose, plan.motion, task, config,
             np.random.default_rng(seed), watch=watch,
         )  # fmt: skip
         assert len(before) > 10
@@ -61,13 +62,13 @@ def test_a_drawer_on_a_tilted_slide_stays_closed_until_it_is_pulled() -> None:
 
 @pytest.mark.parametrize("verb", [pytest.param("open", marks=pytest.mark.slow), "close"])
 def test_only_a_closed_part_is_known_not_to_move_by_its_weight(
-    verb: str, monkeypatch: pytest.MonkeyPatch
+    verb: str, monkeypatch: pytest.MonkeyPatch, kitchen: Scene, segway: Robot
 ) -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
+    scene = kitchen
     if verb == "close":
         scene = scene.with_joint("cabinet_right", "drawer_middle_slide", 0.15)
     task = make_task(scene, verb, "cabinet_right", "drawer_middle_slide")
-    plan = plan_base_placement(scene, robot, task).plan
+    plan = plan_base_placement(scene, segway, task).plan
     assert plan.motion is not None
     assert plan.base_pose is not None
     turned: list[int] = []
@@ -83,6 +84,6 @@ def test_only_a_closed_part_is_known_not_to_move_by_its_weight(
     )
     for seed in (4, 7, 8):
         execute(
-            scene, robot, plan.base_pose, plan.motion, task, config, np.random.default_rng(seed)
+            scene, segway, plan.base_pose, plan.motion, task, config, np.random.default_rng(seed)
         )  # fmt: skip
     assert bool(turned) == (verb == "open")

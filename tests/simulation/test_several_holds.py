@@ -12,7 +12,7 @@ from tests.simulation.toy import execute, gripping
 from tests.verification.door_case import BASE
 
 from momapos.model.records.plans import Hold, PlacementPlan
-from momapos.model.robots.robot import Grip, load_robot
+from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.trajectory import still
@@ -47,12 +47,13 @@ def kitchen() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str, PlacementPlan]:
-    robot = load_robot("segway_ur5e")
-    reach = load_reach_map(robot, tmp_path_factory.mktemp("maps"))
+def plans(
+    kitchen: Scene, tmp_path_factory: pytest.TempPathFactory, segway: Robot
+) -> dict[str, PlacementPlan]:
+    reach = load_reach_map(segway, tmp_path_factory.mktemp("maps"))
     return {
         name: plan_base_placement(
-            kitchen, robot, make_task(kitchen, "open", name, "door_hinge"), reach
+            kitchen, segway, make_task(kitchen, "open", name, "door_hinge"), reach
         ).plan
         for name in ("cabinet_back", "fridge")
     }
@@ -60,7 +61,6 @@ def plans(kitchen: Scene, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
 
 def within_reach(kitchen: Scene, plan: PlacementPlan) -> Scene:
     """Return the kitchen without what is more than 2 m from the base, for a fast simulation."""
-    assert plan.base_pose is not None
     at = np.array(plan.base_pose[:2])
     low, high = (np.array([item.bounds[k, :2] for item in kitchen.objects]) for k in (0, 1))
     away = np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0), axis=1)
@@ -77,15 +77,13 @@ def within_reach(kitchen: Scene, plan: PlacementPlan) -> Scene:
     ],
 )
 def test_a_door_opens_with_two_grasps_or_a_rotating_grasp(
-    item: str, hold: HoldMethod, kitchen: Scene, plans: dict[str, PlacementPlan]
+    item: str, hold: HoldMethod, kitchen: Scene, plans: dict[str, PlacementPlan], segway: Robot
 ) -> None:
     plan = plans[item]
-    assert plan.motion is not None
-    assert plan.base_pose is not None
     two, turns = len(plan.motion.holds) == 2, plan.motion.holds[0].turn_axis is not None
     assert (two, turns) == ((True, False) if item == "cabinet_back" else (False, True))
     done = execute(
-        within_reach(kitchen, plan), load_robot("segway_ur5e"), plan.base_pose, plan.motion,
+        within_reach(kitchen, plan), segway, plan.base_pose, plan.motion,
         plan.task,
         ExecutionConfig(hold=hold), np.random.default_rng(0),
     )  # fmt: skip
@@ -95,30 +93,27 @@ def test_a_door_opens_with_two_grasps_or_a_rotating_grasp(
 
 
 @pytest.mark.slow
-def test_a_hollow_door_follows_the_states_of_a_push(tmp_path: Path) -> None:
+def test_a_hollow_door_follows_the_states_of_a_push(tmp_path: Path, fetch: Robot) -> None:
     """Pushed at its hull, it would stay behind the hand."""
-    robot, (_, parts) = load_robot("fetch"), hollow_door(tmp_path)
+    (_, parts) = hollow_door(tmp_path)
     scene = furniture_room(tmp_path, parts)
     task = make_task(scene, "open", "cupboard", "hinge", "80deg")
-    plan = plan_base_placement(scene, robot, task, load_reach_map(robot, tmp_path)).plan
-    assert plan.motion is not None
+    plan = plan_base_placement(scene, fetch, task, load_reach_map(fetch, tmp_path)).plan
     assert [hold.family for hold in plan.motion.holds] == ["pinch", "push"]
-    done = run_exactly(plan, scene, robot).execution
-    assert done is not None
+    done = run_exactly(plan, scene, fetch).execution
     assert done.success, done.reason
     assert abs(np.degrees(done.reached) - 80.0) < 3.0
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path) -> None:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    hooked, base = replace(robot, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)
+def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path, segway: Robot) -> None:
+    scene = load_scene("kitchen_small")
+    hooked, base = replace(segway, grips=Grip.HOOK), (0.300476, -1.502722, -3.024759)
     config = PipelineConfig(motion=MotionConfig(grasps=GraspConfig(turning=False)))
-    task, reach = make_task(scene, "open", "fridge", "door_hinge"), load_reach_map(robot, tmp_path)
+    task, reach = make_task(scene, "open", "fridge", "door_hinge"), load_reach_map(segway, tmp_path)
     motion = check_base_pose(
         scene, hooked, task, base, reach, how_far=False, config=config
     ).motion  # fmt: skip
-    assert motion is not None
     assert "after a slide" in motion.holds[1].words
     done = execute(
         scene, hooked, base, motion, task, ExecutionConfig(hold=hold), np.random.default_rng(0)
@@ -127,11 +122,8 @@ def test_a_hook_slides_along_a_bar(hold: HoldMethod, tmp_path: Path) -> None:
     assert all(touch.force < 150.0 for touch in done.collisions)
 
 
-def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(
-    tmp_path: Path,
-) -> None:
+def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(tmp_path: Path) -> None:
     toy, config = gripping(tmp_path), ExecutionConfig()
-    assert toy.robot.model.urdf.path is not None
     dynamics, q = read_dynamics(toy.robot.model.urdf.path), toy.motion.q[0]
     hand = find_hand(toy.robot, dynamics.mimics)
     light = PartResistance(mass=5.0, friction=0.1, damping=0.1, pull=0.0)
@@ -149,11 +141,9 @@ def test_a_hand_that_grasped_with_an_offset_pushes_later_without_it(
 
 @pytest.mark.slow
 def test_between_two_grasps_the_hand_is_slow_near_obstacles(
-    kitchen: Scene, plans: dict[str, PlacementPlan]
+    kitchen: Scene, plans: dict[str, PlacementPlan], segway: Robot
 ) -> None:
     plan, config = plans["cabinet_back"], ExecutionConfig()
-    assert plan.motion is not None
-    assert plan.base_pose is not None
     ways: list[tuple[float, np.ndarray, bool]] = []
 
     def watch(world: Simulation, time: float, stage: Stage) -> None:
@@ -165,7 +155,7 @@ def test_between_two_grasps_the_hand_is_slow_near_obstacles(
 
     assert len(plan.motion.holds) == 2
     done = execute(
-        within_reach(kitchen, plan), load_robot("segway_ur5e"), plan.base_pose, plan.motion,
+        within_reach(kitchen, plan), segway, plan.base_pose, plan.motion,
         plan.task, config,
         np.random.default_rng(0), watch=watch,
     )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from momapos.core.errors import UrdfError
 from momapos.core.geometry.transforms import invert, pose_planar
 from momapos.model.records.plans import Task
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.urdf.reader import Geometry
 from momapos.simulation.config import ExecutionConfig
@@ -62,10 +62,8 @@ def test_link_poses_match_the_urdf(robot: Robot) -> None:
             )
 
 
-def test_door_poses_match_the_scene_at_every_opening(
-    robots: Callable[[str], Robot],
-) -> None:
-    world, item = world_of(robots("segway_ur5e")), load_scene("kitchen_small").object("fridge")
+def test_door_poses_match_the_scene_at_every_opening(segway: Robot, kitchen: Scene) -> None:
+    world, item = world_of(segway), kitchen.object("fridge")
     for value in (0.0, 0.4, 1.2):
         world.data.qpos[world.part_q] = value
         mujoco.mj_forward(world.model, world.data)
@@ -85,10 +83,7 @@ def test_a_robot_at_rest_does_not_move(robot: Robot) -> None:
     np.testing.assert_allclose(world.data.qpos[world.base_q], 0.0, atol=1e-4)
 
 
-def test_an_arm_heavier_than_its_effort_limits_is_balanced_and_does_not_move(
-    robots: Callable[[str], Robot],
-) -> None:
-    fetch = robots("fetch")
+def test_an_arm_heavier_than_its_effort_limits_is_balanced_and_does_not_move(fetch: Robot) -> None:
     assert world_of(fetch).balanced == ()
     world = world_of(fetch, {"torso_lift_joint": 30.0})
     assert world.balanced == ("torso_lift_joint",)

@@ -18,7 +18,7 @@ from momapos.core.errors import TaskError
 from momapos.core.geometry.transforms import apply
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.records.plans import Task
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
@@ -73,7 +73,6 @@ def test_the_path_of_the_hand_makes_its_joint_the_most_probable(
     if index == 0:
         assert not beliefs_of(guessed).contradicts(way)
     else:
-        assert other is not None
         assert (other.hypothesis.kind, int(np.argmax(weights))) == (ALL[index][0], index)
         assert other.moved == pytest.approx(values[-1], abs=0.03 / axis.lever_at(start))
 
@@ -92,7 +91,6 @@ def test_a_hand_that_loses_the_part_measures_nothing_but_lowers_the_weight(guess
     assert not beliefs.moved
     before = beliefs.beliefs
     other = beliefs.fail(())
-    assert other is not None
     assert other.hypothesis.kind == "door_left"
     assert [b.moved for b in beliefs.beliefs] == [b.moved for b in before]
     beliefs.fail([np.array([1.22 - 0.01 * k, 0.1, 0.8]) for k in range(10)])
@@ -107,7 +105,6 @@ def test_hypotheses_are_ranked_by_the_path_of_the_hand_and_the_current_one_is_no
     ranked = beliefs.ranked(pulled)
     assert len(ranked) == len(ALL)
     assert ranked.count(None) == 1
-    assert ranked[0] is not None
     assert ranked[0].hypothesis.kind == "drawer"
     weights = [belief.log_weight for belief in ranked if belief is not None]
     assert weights == sorted(weights, reverse=True)
@@ -140,20 +137,18 @@ def test_a_part_with_one_hypothesis_has_no_alternative(tmp_path: Path) -> None:
 
 
 def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(
-    tmp_path: Path,
+    tmp_path: Path, segway: Robot
 ) -> None:
     guessed = room(tmp_path / "guessed", (("door_right", 0.7), ("door_left", 0.3)))
     really = room(tmp_path / "really", (("door_left", 1.0),))
-    robot = load_robot("segway_ur5e")
     task = make_task(guessed, "open", "cupboard", "door_hinge")
-    plan = plan_base_placement(guessed, robot, task, Everywhere(), config=PipelineConfig()).plan
-    record = run_plan(plan, guessed, robot, Everywhere(), world=really)
+    plan = plan_base_placement(guessed, segway, task, Everywhere(), config=PipelineConfig()).plan
+    record = run_plan(plan, guessed, segway, Everywhere(), world=really)
     assert record.success, record.reason
     assert record.kinds[0] == "door_right"
     assert record.kinds[-1] == "door_left"
     assert [one.ending for one in record.failed] == [Ending.OTHERWISE]
     assert record.failed[0].reached == pytest.approx(0.0, abs=0.02)  # brought back
-    assert record.execution is not None
     learned = save_learned(record, guessed, tmp_path / "learned" / "scene.json")
     assert learned is not None
     item = load_scene(tmp_path / "learned" / "scene.json").object("cupboard")
@@ -169,16 +164,16 @@ def test_a_door_hinged_on_the_other_side_is_opened_and_its_joint_saved(
 
 
 def test_if_the_most_probable_hypothesis_is_infeasible_the_next_is_planned_verified_and_executed(
-    tmp_path: Path,
+    tmp_path: Path, segway: Robot
 ) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
     guessed = room(tmp_path / "guessed", odds, post=BLOCKS_TWO)
     really = room(tmp_path / "really", (("door_left", 1.0),), post=BLOCKS_TWO)
-    robot, asked = load_robot("segway_ur5e"), list[str]()
+    asked = list[str]()
 
     def plan_task(scene: Scene, task: Task) -> list[PlacementResult]:
         asked.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
-        return [plan_base_placement(scene, robot, task, Everywhere())]
+        return [plan_base_placement(scene, segway, task, Everywhere())]
 
     first = make_task(guessed, "open", "cupboard", "drawer_slide")
     _, _, (answer,) = plan_by_hypothesis(guessed, first, plan_task)
@@ -191,20 +186,19 @@ def test_if_the_most_probable_hypothesis_is_infeasible_the_next_is_planned_verif
     assert verify_files(tmp_path / "plan.json", allow_assumed=True).valid
     plan, again, _ = open_plan(tmp_path / "plan.json", None, None, "to execute", allow_assumed=True)
     assert again.object("cupboard").model.joint("drawer_slide").kind == "revolute"
-    record = run_plan(plan, again, robot, Everywhere(), world=really, allow_assumed=True)
+    record = run_plan(plan, again, segway, Everywhere(), world=really, allow_assumed=True)
     assert record.verdict == "done", record.reason
 
 
 @pytest.mark.slow
-def test_a_run_skips_a_hypothesis_without_a_plan(tmp_path: Path) -> None:
+def test_a_run_skips_a_hypothesis_without_a_plan(tmp_path: Path, segway: Robot) -> None:
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
     guessed = room(tmp_path / "guessed", odds, post=BLOCKS_ONE)
     stuck = room(tmp_path / "stuck", (("door_right", 1.0),), turn=0.01)
-    robot = load_robot("segway_ur5e")
     task = make_task(guessed, "open", "cupboard", "drawer_slide")
-    plan = plan_base_placement(guessed, robot, task, Everywhere(), config=PipelineConfig()).plan
+    plan = plan_base_placement(guessed, segway, task, Everywhere(), config=PipelineConfig()).plan
     assert plan.status == "solved"
-    record = run_plan(plan, guessed, robot, Everywhere(), world=stuck, tries=2)
+    record = run_plan(plan, guessed, segway, Everywhere(), world=stuck, tries=2)
     assert record.kinds == ("drawer", "door_left")
 
 

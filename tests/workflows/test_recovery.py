@@ -10,9 +10,8 @@ from tests.rooms import Everywhere
 
 from momapos.core.geometry.transforms import apply, rotation_angle, rotation_of
 from momapos.model.records.plans import JointResistance, PlacementPlan, Task
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
@@ -38,32 +37,20 @@ CONFIG = PipelineConfig()
 
 
 @pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("segway_ur5e")
-
-
-@pytest.fixture(scope="module")
-def plan(kitchen: Scene, robot: Robot) -> PlacementPlan:
+def plan(kitchen: Scene, segway: Robot) -> PlacementPlan:
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
-    plan = plan_base_placement(kitchen, robot, task, Everywhere(), config=CONFIG).plan
+    plan = plan_base_placement(kitchen, segway, task, Everywhere(), config=CONFIG).plan
     assert plan.status == "solved"
     return plan
 
 
 def test_another_grasp_at_the_same_base_pose_differs_from_the_one_that_failed(
-    kitchen: Scene, robot: Robot, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, plan: PlacementPlan
 ) -> None:
-    assert plan.base_pose is not None
-    assert plan.motion is not None
     failed = grasp_in_part(kitchen, plan.task, plan.motion)
     others = other_grasps(kitchen, plan.task, [failed])
     found = check_base_pose(
-        kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False, keep_grasps=others
+        kitchen, segway, plan.task, plan.base_pose, Everywhere(), how_far=False, keep_grasps=others
     )
     assert found.motion is not None, found.reason
     other = grasp_in_part(kitchen, plan.task, found.motion)
@@ -74,11 +61,10 @@ def test_another_grasp_at_the_same_base_pose_differs_from_the_one_that_failed(
 
 
 def test_if_no_other_grasp_is_left_the_reason_states_it(
-    kitchen: Scene, robot: Robot, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, plan: PlacementPlan
 ) -> None:
-    assert plan.base_pose is not None
     found = check_base_pose(
-        kitchen, robot, plan.task, plan.base_pose, Everywhere(), how_far=False,
+        kitchen, segway, plan.task, plan.base_pose, Everywhere(), how_far=False,
         keep_grasps=lambda motion: np.zeros(len(motion.Ts_world_tool), bool),
     )  # fmt: skip
     assert found.motion is None
@@ -100,7 +86,6 @@ def test_the_believed_scene_has_the_part_where_the_hand_left_it(kitchen: Scene) 
 
 def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
     """Return the vertices of a task's part in the world at a joint value."""
-    assert task.joint is not None
     item = room.object(task.object)
     poses = item.link_poses({task.joint: value})
     links = item.model.moved_by(task.joint)
@@ -109,7 +94,6 @@ def door_points(room: Scene, task: Task, value: float) -> np.ndarray:
 
 def hinge(room: Scene, task: Task) -> Axis:
     """Return the joint of a task's part in the world."""
-    assert task.joint is not None
     item = room.object(task.object)
     joint = item.model.joint(task.joint)
     T = item.link_poses()[joint.parent] @ joint.T_parent_joint
@@ -128,7 +112,6 @@ def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint
         direction=lean @ modeled.direction,
         point=modeled.point + np.array([0.01, 0.02, 0.0]),
     )
-    assert task.to is not None
     sign = np.sign(task.to)
     room, same, value = with_estimated_joint(kitchen, task, found, 0.5 * task.to)
     assert same.to == pytest.approx(abs(task.to))
@@ -140,7 +123,6 @@ def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint
 
 
 def test_a_grasp_does_not_depend_on_the_believed_joint(kitchen: Scene, plan: PlacementPlan) -> None:
-    assert plan.motion is not None
     axis = hinge(kitchen, plan.task)
     other, _, _ = with_estimated_joint(
         kitchen, plan.task, axis.shifted(np.array([0.1, 0.0, 0.2])), 0.1
@@ -155,7 +137,6 @@ def test_a_door_falls_closed_if_its_hinge_leans_so_that_opening_lifts_it(
 ) -> None:
     task = make_task(kitchen, "open", "fridge", "door_hinge")
     modeled = hinge(kitchen, task)
-    assert task.to is not None
     closed = door_points(kitchen, task, 0.0).mean(0)
     way = np.sign(task.to) * modeled.way_at(closed)
     arm = closed - modeled.point
@@ -179,25 +160,22 @@ def test_without_pushes_only_the_push_family_is_removed() -> None:
 
 
 def test_the_arm_has_a_path_home_from_a_half_open_drawer(
-    kitchen: Scene, robot: Robot, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, plan: PlacementPlan
 ) -> None:
-    assert plan.base_pose is not None
-    assert plan.motion is not None
     half = len(plan.motion.q) // 2
     value, q = float(plan.motion.object_q[half]), plan.motion.q[half]
     believed = believed_scene(kitchen, plan.task, value, np.zeros(3))
     way = arm_home_path(
-        believed, robot, plan.task, np.array(plan.base_pose), q, config=CONFIG, seed=0
+        believed, segway, plan.task, np.array(plan.base_pose), q, config=CONFIG, seed=0
     )
-    assert way is not None
     np.testing.assert_allclose(way[0], q)
-    np.testing.assert_allclose(way[-1], robot.home)
+    np.testing.assert_allclose(way[-1], segway.home)
     assert np.abs(np.diff(way, axis=0)).max() < 0.05
 
 
 @pytest.mark.slow
 def test_after_a_lost_grasp_another_grasp_does_the_task(
-    kitchen: Scene, robot: Robot, plan: PlacementPlan
+    kitchen: Scene, segway: Robot, plan: PlacementPlan
 ) -> None:
     worlds: list[Simulation] = []
 
@@ -216,18 +194,18 @@ def test_after_a_lost_grasp_another_grasp_does_the_task(
         )  # fmt: skip
 
     record = run_plan(
-        plan, kitchen, robot, Everywhere(), config=CONFIG, driver=stand_there,
+        plan, kitchen, segway, Everywhere(), config=CONFIG, driver=stand_there,
         watch=weaken_the_first, physics=ExecutionConfig(),
     )  # fmt: skip
     assert len(record.failed) == 1
     assert not record.failed[0].success
     assert record.success, record.reason
-    assert record.execution is not None
     assert record.execution.start == pytest.approx(0.0)
 
 
-def test_the_path_home_of_a_telescopic_arm_has_all_its_joints(kitchen: Scene) -> None:
-    stretch = load_robot("stretch")
+def test_the_path_home_of_a_telescopic_arm_has_all_its_joints(
+    kitchen: Scene, stretch: Robot
+) -> None:
     task = make_task(kitchen, "open", "cabinet_right", "drawer_top_slide")
     home = stretch.chain.joint_values(stretch.home)
     away = stretch.home.copy()
@@ -236,16 +214,16 @@ def test_the_path_home_of_a_telescopic_arm_has_all_its_joints(kitchen: Scene) ->
     way = arm_home_path(
         kitchen, stretch, task, base, stretch.chain.joint_values(away), config=CONFIG, seed=0
     )
-    assert way is not None
     assert way.shape[1] == len(stretch.moved_joints) > stretch.chain.size
     assert np.allclose(way[-1], home)
 
 
-def test_base_poses_of_an_arm_with_few_joints_can_be_checked(kitchen: Scene) -> None:
+def test_base_poses_of_an_arm_with_few_joints_can_be_checked(
+    kitchen: Scene, stretch: Robot
+) -> None:
     # The seal of a fridge pulls this light robot over.
     kitchen = kitchen.with_resistance({"fridge": {"door_hinge": JointResistance(seal_force=4.0)}})
     task = make_task(kitchen, "open", "fridge", "door_hinge", 0.2)
-    stretch = load_robot("stretch")
     feasible, infeasible = (
         check_base_pose(kitchen, stretch, task, pose, Everywhere(), how_far=False)
         for pose in ((0.4, -1.3, np.pi), (0.7, -1.0, np.pi))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from momapos.core.stopwatch import Stopwatch
-from momapos.model.robots.robot import load_robot
-from momapos.model.scene.scene_files import load_scene
+from momapos.model.robots.robot import Robot
+from momapos.model.scene.scene import Scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -21,19 +21,18 @@ from momapos.workflows.replanning import Replanner
 
 
 @pytest.fixture(scope="module")
-def replanner(tmp_path_factory: pytest.TempPathFactory) -> Replanner:
-    scene, robot = load_scene("kitchen_small"), load_robot("segway_ur5e")
-    reach = load_reach_map(robot, tmp_path_factory.mktemp("maps"))
-    task = make_task(scene, "open", "microwave", "door_hinge")
-    result: PlacementResult = plan_base_placement(scene, robot, task, reach)
+def replanner(tmp_path_factory: pytest.TempPathFactory, kitchen: Scene, segway: Robot) -> Replanner:
+    reach = load_reach_map(segway, tmp_path_factory.mktemp("maps"))
+    task = make_task(kitchen, "open", "microwave", "door_hinge")
+    result: PlacementResult = plan_base_placement(kitchen, segway, task, reach)
 
     def drive(*_: object) -> DriveRecord:
         raise AssertionError("no drive is expected")
 
     return Replanner(
-        build_navigation_map(scene, robot), scene, result.plan, reach, drive, PipelineConfig(),
+        build_navigation_map(kitchen, segway), kitchen, result.plan, reach, drive, PipelineConfig(),
         lambda *_: None, Stopwatch(lambda: 0.0), np.random.default_rng(0),
-        initial=scene, beliefs=JointBeliefs((), ComplianceConfig()),
+        initial=kitchen, beliefs=JointBeliefs((), ComplianceConfig()),
     )  # fmt: skip
 
 

@@ -18,9 +18,8 @@ from momapos.apps.plots.answer_plot import draw_answer
 from momapos.core.errors import InputError
 from momapos.model.records.outcomes import PoseOutcome, PoseStatus
 from momapos.model.records.plans import Motion, PlacementPlan
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
@@ -55,16 +54,6 @@ class Broken:
 
     def min_score(self, bases: np.ndarray, Ts_world_tool: np.ndarray) -> np.ndarray:
         raise RuntimeError(f"no map for {len(bases)} bases, {len(Ts_world_tool)} grasps")
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def fetch() -> Robot:
-    return load_robot("fetch")
 
 
 def answer_of(
@@ -172,10 +161,7 @@ def test_all_characters_of_a_figure_are_drawn(
     [
         Search(),
         Search(poses=[np.zeros((0, 3))], outcomes=[PoseOutcomes([])]),
-        Search(
-            poses=[np.zeros((1, 3))],
-            outcomes=[PoseOutcomes([NOWHERE])],
-        ),
+        Search(poses=[np.zeros((1, 3))], outcomes=[PoseOutcomes([NOWHERE])]),
         Search(poses=[np.ones((2, 3))], outcomes=[PoseOutcomes([OUTCOMES[0]] * 2)]),
     ],
     ids=["nothing", "no candidates", "out of reach at any distance", "all blocked"],

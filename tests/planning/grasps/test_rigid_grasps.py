@@ -13,18 +13,13 @@ from momapos.model.records.families import Family
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import box_urdf
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.hand_boxes import hand_of
-from momapos.planning.grasps.part_grasps import (
-    HELD_CLEARANCE_SHARE,
-    Contact,
-    lifting_capacity,
-)
+from momapos.planning.grasps.part_grasps import HELD_CLEARANCE_SHARE, Contact, lifting_capacity
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
@@ -33,11 +28,6 @@ from momapos.planning.reachability.map_store import load_reach_map
 DEFAULT = MotionConfig()
 OBJECTS = ("cup", "apple", "bottle", "cereal_box")
 NONE = 1e-9
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
 
 
 def in_object(motion: TaskMotion, scene: Scene) -> np.ndarray:
@@ -130,11 +120,7 @@ def test_an_offset_of_the_center_of_mass_reduces_the_payload() -> None:
     ("name", "config", "words"),
     [
         ("table", GraspConfig(), "cm wide, and the gripper of"),
-        (
-            "cup",
-            GraspConfig(resistance=ResistanceConfig(density=1e5)),
-            "N of it at most, and",
-        ),
+        ("cup", GraspConfig(resistance=ResistanceConfig(density=1e5)), "N of it at most, and"),
         ("cup", GraspConfig(pad_contact=50.0), "touch too little"),
     ],
 )

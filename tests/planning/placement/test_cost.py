@@ -16,9 +16,8 @@ from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.records.plans import PlacementPlan, Task
-from momapos.model.robots.robot import Robot, load_robot
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
-from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
@@ -33,16 +32,6 @@ from momapos.planning.search_setup import prepare_search
 
 NAMES = ["driving", "room", "clearance", "manipulability", "effort"]
 WORDS = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide"]
-
-
-@pytest.fixture(scope="module")
-def kitchen() -> Scene:
-    return load_scene("kitchen_small")
-
-
-@pytest.fixture(scope="module")
-def segway() -> Robot:
-    return load_robot("segway_ur5e")
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +72,6 @@ def test_a_plan_names_each_term_with_its_value_and_weight(tmp_path: Path) -> Non
     assert list(plan.cost) == NAMES
     assert [term.weight for term in plan.cost.values()] == [1.0, None, 0.0, 0.0, 0.5]
     assert plan.cost["driving"].value == pytest.approx(plan.navigation_cost)
-    assert plan.motion is not None
     moved = np.abs(np.diff(plan.motion.q, axis=0)).sum()  # it has no prismatic joint
     assert plan.cost["effort"].value == pytest.approx(moved)
     assert all(term.value is not None and term.value >= 0.0 for term in plan.cost.values())
@@ -121,8 +109,6 @@ def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segwa
             plan_base_placement(kitchen, segway, asked, reach, config=config).plan.navigation_cost
             for config in (PipelineConfig(), cheapest)
         )
-        assert usual is not None
-        assert near is not None
         driven.append((usual, near))
     assert sum(near for _, near in driven) < sum(usual for usual, _ in driven)
 
