@@ -23,6 +23,7 @@ from momapos.simulation.execute import attempt
 from momapos.simulation.execution_run import MAX_LATE, ExecutionRun
 from momapos.simulation.run_record import Execution
 from momapos.simulation.run_trace import RunTrace
+from momapos.simulation.simulation import Simulation
 
 CASES: dict[str, Callable[[], Case]] = {
     "differential": moving_case,
@@ -48,7 +49,17 @@ def run(
     return done, trace
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Toy, Simulation]:
+    """Return a robot and the world of its run, for what moves the base alone."""
+    ready = made(tmp_path_factory.mktemp("standing"), "differential", fingers=False)
+    return ready, run(asked(ready, 0.02), hold="weld")[1].played[0].world
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["differential", pytest.param("with a lead-in", marks=pytest.mark.slow), "omni", "stops"],
+)
 def test_the_door_opens_by_contact_while_or_between_drives(name: str, tmp_path: Path) -> None:
     ready = made(tmp_path, name)
     done, trace = run(ready)
@@ -77,11 +88,9 @@ def test_the_same_seed_gives_the_same_slip(tmp_path: Path) -> None:
     assert reached[0] == reached[1] != reached[2]
 
 
-def test_a_base_keeps_its_limits_and_its_drive(tmp_path: Path) -> None:
+def test_a_base_keeps_its_limits_and_its_drive(standing: tuple[Toy, Simulation]) -> None:
     """Sent far to its left at once, a differential base cannot go there, and an omni base can."""
-    ready = made(tmp_path, "differential", fingers=False)
-    _, trace = run(asked(ready, 0.02), hold="weld")
-    world, step = trace.played[0].world, 0.004
+    (ready, world), step = standing, 0.004
     first = np.array(BASE)
     left = first + np.array([-np.sin(BASE[2]), np.cos(BASE[2]), 0.0])
     for drive in ("differential", "omni"):
@@ -105,12 +114,10 @@ def test_a_base_keeps_its_limits_and_its_drive(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("drive", ["differential", "omni"])
 def test_a_base_relieves_the_hand_where_its_drive_goes_and_returns(
-    drive: Drive, tmp_path: Path
+    drive: Drive, standing: tuple[Toy, Simulation]
 ) -> None:
     """The arm has no joint for what it lacks of the hand's velocity; a base has a direction."""
-    ready = made(tmp_path, "differential", fingers=False)
-    _, trace = run(asked(ready, 0.02), hold="weld")
-    world = trace.played[0].world
+    ready, world = standing
     first, robot = np.array(BASE), replace(ready.robot, drive=drive)
     base = BaseDrive(world, robot, first, BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0))
     ahead, left = (np.array([np.cos(y), np.sin(y), 0.0]) for y in (BASE[2], BASE[2] + np.pi / 2))
@@ -128,11 +135,9 @@ def test_a_base_relieves_the_hand_where_its_drive_goes_and_returns(
     np.testing.assert_allclose(base.goal, 0.0, atol=1e-4)
 
 
-def test_the_arm_waits_for_a_base_that_is_late(tmp_path: Path) -> None:
+def test_the_arm_waits_for_a_base_that_is_late(standing: tuple[Toy, Simulation]) -> None:
     """It goes on where the base is, at most twice as fast, and not forever without it."""
-    ready = made(tmp_path, "differential", fingers=False)
-    _, trace = run(asked(ready, 0.02), hold="weld")
-    world = trace.played[0].world
+    ready, world = standing
     base = BaseDrive(
         world, ready.robot, np.array(BASE), BaseTrackingConfig(0.0), 0.004, np.random.default_rng(0)
     )

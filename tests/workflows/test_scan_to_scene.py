@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from momapos import PipelineConfig, PlaceConfig, load_reach_map, load_robot
+from momapos import PipelineConfig, PlaceConfig, load_reach_map
 from momapos.apps.cli.main import main
 from momapos.apps.cli.scan_report import report_to_dict, write_report
 from momapos.apps.schemas.generate import schema_of
@@ -30,6 +30,7 @@ from momapos.model.records.scans import (
     PartKind,
     Scan,
 )
+from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.perception.fusion.tsdf import fuse
@@ -53,10 +54,9 @@ from momapos.workflows.solve import ScanTask, rank_survey, scan_to_scene, solve_
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, kitchen: Scene) -> Path:
     """Return a folder with a scan of a built-in kitchen."""
     path = tmp_path_factory.mktemp("scan") / "kitchen"
-    kitchen = load_scene("kitchen_small")
     write_scan(synthetic_scan(kitchen, frames=40, seed=3, sensor=DepthSensor()), path)
     return path
 
@@ -141,9 +141,15 @@ def test_names_follow_from_places_whatever_segments_the_room(
     ],
 )
 def test_an_appliance_front_without_depth_is_completed_and_reported(
-    scan: Scan, tools: Tools, thing: str, label: str, kinds: set[str], tmp_path: Path
+    scan: Scan,
+    tools: Tools,
+    thing: str,
+    label: str,
+    kinds: set[str],
+    tmp_path: Path,
+    kitchen: Scene,
 ) -> None:
-    low, high = load_scene("kitchen_small").object(thing).bounds
+    low, high = kitchen.object(thing).bounds
     front = np.array([low - 0.02, [high[0] + 0.02, low[1] + 0.14, high[2] + 0.02]])
     dark = []
     for frame in scan.frames[::2]:
@@ -372,7 +378,7 @@ def test_an_unknown_target_is_refused_in_one_line(
 
 @pytest.mark.slow
 def test_a_failed_task_is_replanned_with_more_objects_until_all_are_modeled(
-    made: Modeled, scan: Scan, tools: Tools, tmp_path: Path
+    made: Modeled, scan: Scan, tools: Tools, tmp_path: Path, husky: Robot
 ) -> None:
     looks = 0
 
@@ -382,7 +388,6 @@ def test_a_failed_task_is_replanned_with_more_objects_until_all_are_modeled(
         return tools.look(face, label)
 
     name, joint = next(x for x in openable(load_scene(made.scene)) if x[0].startswith("wall"))
-    robot = load_robot("husky_ur5e")  # its arm stands too low for wall cabinets
     config = PipelineConfig(
         place=PlaceConfig(grid=False, rounds=1), importance=ImportanceConfig(alpha=0.9)
     )
@@ -391,7 +396,7 @@ def test_a_failed_task_is_replanned_with_more_objects_until_all_are_modeled(
     scan_to_scene(scan, out, counting)
     all_at_once, looks = looks, 0
     answer = solve_scan(
-        scan, [(robot, load_reach_map(robot))], ScanTask("open", name, joint), out,
+        scan, [(husky, load_reach_map(husky))], ScanTask("open", name, joint), out,
         tools=counting, config=config,
     )  # fmt: skip
     assert answer.result.plan.status == "infeasible"
@@ -449,14 +454,15 @@ def test_the_method_chooses_the_views_unless_they_are_given(
     folder: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    segway: Robot,
 ) -> None:
     monkeypatch.setattr("momapos.workflows.solve.survey", lambda *_, **__: seen)
-    robot, (name, door, _) = load_robot("segway_ur5e"), same_door(made, folder)
+    (name, door, _) = same_door(made, folder)
     config = PipelineConfig(
-        place=PlaceConfig(method=method), importance=ImportanceConfig(alpha=1.0), timeout=5.0
+        place=PlaceConfig(method=method), importance=ImportanceConfig(alpha=1.0), timeout=1.0
     )
     answer = solve_scan(
-        scan, [(robot, load_reach_map(robot))], ScanTask("open", name, door),
+        scan, [(segway, load_reach_map(segway))], ScanTask("open", name, door),
         tmp_path / "scene.json", tools=tools, config=config, scanning=ScanConfig(views=views),
     )  # fmt: skip
     assert answer.scanning.views == taken
@@ -508,12 +514,14 @@ def test_one_command_goes_from_a_scan_to_a_plan_as_the_paper_prints_it(
 
 
 @pytest.mark.slow
-def test_no_opening_of_a_scanned_kitchen_is_solved_for_an_improbable_joint(made: Modeled) -> None:
-    scene, robot = load_scene(made.scene), load_robot("segway_ur5e")
-    reach, statuses = load_reach_map(robot), []
+def test_no_opening_of_a_scanned_kitchen_is_solved_for_an_improbable_joint(
+    made: Modeled, segway: Robot
+) -> None:
+    scene = load_scene(made.scene)
+    reach, statuses = load_reach_map(segway), []
 
     def plan(scene: Scene, task: Task) -> list[PlacementResult]:
-        return [plan_base_placement(scene, robot, task, reach)]
+        return [plan_base_placement(scene, segway, task, reach)]
 
     for name, joint in openable(scene)[:20]:
         hypotheses = scene.object(name).hypotheses[joint]

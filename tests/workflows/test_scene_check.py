@@ -13,7 +13,7 @@ from tests import cupboards, optional, real
 from tests.meshes import Box, triangles_of
 
 from momapos.core.errors import InputError
-from momapos.model.robots.robot import load_robot
+from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -353,7 +353,8 @@ def test_a_wrong_argument_is_named() -> None:
 # ------------------------------------------------------------------------------------ real data
 
 KITCHENS = (
-    pytest.param("Kitchen", marks=pytest.mark.slow), "Kitchen_1", "Kitchen_anygrasp", "b512",
+    *(pytest.param(name, marks=pytest.mark.slow) for name in ("Kitchen", "Kitchen_1")),
+    "Kitchen_anygrasp", "b512",
 )  # fmt: skip
 
 
@@ -365,12 +366,12 @@ def test_real_kitchens_are_usable(name: str) -> None:
     assert not of_kind(report, FindingKind.SIZE)
     assert not of_kind(report, FindingKind.DRIVING)
     overlaps = of_kind(report, FindingKind.OVERLAP)
-    assert (
-        not overlaps or name == "Kitchen_anygrasp"
-    )  # objects that fall into place in a simulation
+    assert not overlaps or name == "Kitchen_anygrasp"  # its objects fall into place in a simulation
 
 
-def test_rooms_and_furniture_of_other_people_have_the_findings_that_they_stand_for() -> None:
+def test_rooms_and_furniture_of_other_people_have_the_findings_that_they_stand_for(
+    husky: Robot,
+) -> None:
     cases = optional.there(real.CASES)
     keys = of_kind(check_scene(load_scene(cases / "rooms/typo2.json")), FindingKind.UNKNOWN_KEY)
     assert [key.object for key in keys] == ["", "fridge", "fridge"]
@@ -378,5 +379,5 @@ def test_rooms_and_furniture_of_other_people_have_the_findings_that_they_stand_f
         hulls = check_scene(load_scene(cases / f"furniture/{name}.json"))
         assert [one.object for one in of_kind(hulls, FindingKind.HULL)] == hollow
     narrow = load_scene(cases / "furniture/narrow_door.json")
-    assert of_kind(check_scene(narrow, load_robot("husky_ur5e")), FindingKind.DRIVING)
+    assert of_kind(check_scene(narrow, husky), FindingKind.DRIVING)
     assert not of_kind(check_scene(narrow, ROBOT), FindingKind.DRIVING)

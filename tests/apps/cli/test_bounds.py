@@ -73,7 +73,7 @@ def test_work_that_needs_too_much_memory_is_stopped() -> None:
 
 
 def test_memory_that_the_process_already_has_does_not_count() -> None:
-    code = "a = np.ones(200_000_000); report(lambda: np.ones(50_000_000), memory=1_000_000_000)"
+    code = "a = np.ones(40_000_000); report(lambda: np.ones(20_000_000), memory=300_000_000)"
     assert said(code) == ""
 
 
