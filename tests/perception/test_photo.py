@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from tests import optional
+from tests.commands import error_of, json_of
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 from momapos.model.records.scans import FaceImage, Front, Part
 from momapos.model.scene.scene_files import load_scene
@@ -118,32 +117,24 @@ def test_a_box_or_size_that_is_not_usable_is_refused(
     ],
 )
 def test_contradicting_options_are_one_line(
-    words: list[str],
-    hint: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Image.new("RGB", (100, 100)).save("p.png")
     Path("p.txt").write_text("text")
-    assert main(["scan", *words, "--out", "new/a.json"]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
+    assert hint in error_of("scan", *words, "--out", "new/a.json")
     assert not Path("new").exists()
 
 
 def test_a_product_photo_gives_a_scene_with_its_doors_and_drawers(
-    shared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shared: Path, tmp_path: Path
 ) -> None:
     folder = optional.there(shared / "cabinet_photos")
     photo = ["--photo", str(folder / "label13.png"), "--box", "46,50,465,433"]
     for extra in ([], ["--models", f"cabinet={folder / 'label13.urdf'}"]):
         out = tmp_path / str(len(extra)) / "c.json"
         words = ["scan", *photo, "--size", "1,0.5,0.9", "--out", str(out), *extra]
-        assert main([*words, "--json"]) == 0
-        data = json.loads(capsys.readouterr().out)
+        data = json_of(*words, "--json")
         kinds = sorted(part["kind"] for part in data["objects"][0]["parts"])
         assert kinds == ["door_left", "door_right", "drawer", "drawer"]
         assert len(load_scene(out).objects[0].model.joints) == 4

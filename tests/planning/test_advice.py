@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import output_of
 from tests.cupboards import HINGE, carcass, furniture_room, joint, link
 
-from momapos.apps.cli.main import main
 from momapos.core.geometry.polygons import contains, edge_distances
 from momapos.core.geometry.transforms import place_points
 from momapos.model.plan_files.plan_format import read_plan, write_plan
@@ -244,11 +244,7 @@ def test_solved_answers_and_late_trials_get_no_advice(room: Scene, fetch: Robot)
     assert with_advice(solved) is solved
 
 
-def test_the_command_prints_the_advice_unless_told_not_to(
-    room: Scene, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_the_advice_unless_told_not_to(room: Scene) -> None:
     words = ["place", "open", str(room.path), "cupboard", "--robot", "fetch"]
-    assert main(words) == 3
-    assert "\n  advice      feasible without crate, from (" in capsys.readouterr().out
-    assert main([*words, "--no-advice"]) == 3
-    assert "advice" not in capsys.readouterr().out
+    assert "\n  advice      feasible without crate, from (" in output_of(*words, status=3)
+    assert "advice" not in output_of(*words, "--no-advice", status=3)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.commands import output_of
 from tests.rooms import Everywhere, cabinet_room
 
-from momapos.apps.cli.main import main
 from momapos.model.records.outcomes import PoseStatus
 from momapos.model.robots.robot import Robot, load_robot
 from momapos.model.scene.scene import Scene
@@ -73,12 +73,12 @@ def test_poses_on_the_near_side_of_a_narrow_door_are_still_tried(
 
 
 @pytest.mark.slow
-def test_the_command_names_the_passage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_names_the_passage(tmp_path: Path) -> None:
     save_scene(room(tmp_path, 0.5), tmp_path / "room.json")
     words = ["place", "open", str(tmp_path / "room.json"), "cabinet/hinge", "--robot", "fetch"]
-    assert main([*words, "--start=0,-3.2,0"]) == 3
-    printed = capsys.readouterr().out
-    assert "infeasible  no way to drive there: 50 cm between" in printed
+    assert "infeasible  no way to drive there: 50 cm between" in output_of(
+        *words, "--start=0,-3.2,0", status=3
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from jaxtyping import Bool, Float
+from tests.commands import json_of, output_of
 from tests.cupboards import HINGE, carcass, furniture_room, link
 from tests.rooms import Everywhere, cabinet_room, kitchen_without_springs
 from tests.shapes import unchecked
@@ -76,13 +76,12 @@ def refused(refused_file: tuple[Path, str]) -> PlacementPlan:
 
 
 def test_an_infeasible_opening_is_answered_with_one_that_works(
-    lid: list[str], kitchen: Scene, refused: PlacementPlan, capsys: pytest.CaptureFixture[str]
+    lid: list[str], kitchen: Scene, refused: PlacementPlan
 ) -> None:
     goal = make_task(kitchen, "open", "dishwasher", "door_hinge").to
     assert 0.2 * goal < refused.feasible_to < 0.8 * goal
     degrees = f"{np.degrees(refused.feasible_to):.0f}"
-    assert main([*lid, "--to", f"{degrees}deg"]) == 0
-    assert f"to {degrees} deg: solved" in capsys.readouterr().out
+    assert f"to {degrees} deg: solved" in output_of(*lid, "--to", f"{degrees}deg")
 
 
 def test_the_output_states_the_feasible_opening_and_its_base_pose(
@@ -209,11 +208,10 @@ def test_the_stated_base_pose_opens_to_the_stated_value(
 
 
 def test_the_maximum_opening_has_a_valid_plan_and_one_degree_more_has_none(
-    lid: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene, fetch: Robot
+    lid: list[str], tmp_path: Path, kitchen: Scene, fetch: Robot
 ) -> None:
     path = tmp_path / "plan.json"
-    assert main([*lid, "--to", "max", "--out", str(path)]) == 0
-    assert "deg (largest found): solved" in capsys.readouterr().out
+    assert "deg (largest found): solved" in output_of(*lid, "--to", "max", "--out", str(path))
     plan = read_plan(path)
     assert plan.task.to == plan.motion.object_q[-1]
     assert not plan.task.farthest
@@ -259,8 +257,7 @@ def test_a_given_base_pose_is_answered_with_its_plan_or_the_reason(
     lid: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: PlacementPlan
 ) -> None:
     at = ["--at", ",".join(f"{v:.9f}" for v in refused.feasible_from)]
-    assert main([*lid, *at, "--json"]) == 3
-    no = json.loads(capsys.readouterr().out)
+    no = json_of(*lid, *at, "--json", status=3)
     assert tuple(no["base_pose"].values()) == pytest.approx(refused.feasible_from)
     assert no["feasible_to"] >= refused.feasible_to - 1e-9
     assert no["feasible_from"] == no["base_pose"]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import json_of, output_of
 from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
@@ -224,13 +224,10 @@ def test_without_a_motion_there_is_no_tolerance(kitchen: Scene, segway: Robot) -
     assert placement_tolerance(kitchen, segway, task, far, Everywhere()).radius == 0.0
 
 
-def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     few = ["--tolerance", "--tolerance-samples", "12"]
-    assert main(["place", "open", *QUESTION, *few, "--out", str(out)]) == 0
-    output = capsys.readouterr().out
+    output = output_of("place", "open", *QUESTION, *few, "--out", str(out))
     plan = read_plan(out)
     assert plan.tolerance.samples == 12
     assert f"tolerance   +-{100 * plan.tolerance.radius:g} cm, +-" in output
@@ -238,11 +235,9 @@ def test_an_answer_of_place_has_a_tolerance_if_it_is_wanted(
     assert f", and {1000 * plan.timing['tolerance']:.0f} ms for the tolerance" in output
     x, y, yaw = plan.base_pose or (0.0, 0.0, 0.0)
     again = ["--at", f"{x},{y},{yaw}", *few, "--json"]
-    assert main(["place", "open", *QUESTION, *again]) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = json_of("place", "open", *QUESTION, *again)
     assert data["tolerance"]["samples"] == 12
-    assert main(["place", "open", *QUESTION, "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = json_of("place", "open", *QUESTION, "--json")
     assert data["tolerance"] is None
     assert "tolerance" not in data["timing"]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
+from tests.commands import error_of, json_of
 from tests.rooms import Everywhere, corridor_room
 
 from momapos.apps.cli.main import main
@@ -169,16 +170,12 @@ def test_the_meaning_of_a_task_depends_on_the_tasks_before_it(
         plan_tour(kitchen, segway, [])
 
 
-def test_a_tour_file_names_valid_plans_that_follow_each_other(
-    written: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tour_file_names_valid_plans_that_follow_each_other(written: Path) -> None:
     tour = read_tour(written)
     assert [(step.stop, step.plan) for step in tour.steps] == [
         (1, "tour_1.json"), (1, "tour_2.json"), (1, "tour_3.json")
     ]  # fmt: skip
-    capsys.readouterr()
-    assert main(["verify", str(written), "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json_of("verify", str(written), "--json")
     assert report["valid"]
     assert set(report["files"]) == {"tour_1.json", "tour_2.json", "tour_3.json", "tour.json"}
 
@@ -242,13 +239,9 @@ def test_a_reader_of_one_plan_refuses_a_tour(written: Path) -> None:
         read_plan(written)
 
 
-def test_a_tour_is_executed_task_by_task(
-    written: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tour_is_executed_task_by_task(written: Path, tmp_path: Path) -> None:
     out = tmp_path / "run.json"
-    capsys.readouterr()
-    assert main(["run", str(written), "--no-noise", "--out", str(out), "--json"]) == 0
-    records = json.loads(capsys.readouterr().out)
+    records = json_of("run", str(written), "--no-noise", "--out", str(out), "--json")
     assert [record["task"]["verb"] for record in records] == ["open", "pick", "close"]
     assert all(record["success"] for record in records)
     files = [json.loads((tmp_path / f"run_{k}.json").read_text()) for k in (1, 2, 3)]
@@ -273,11 +266,8 @@ def test_a_tour_ends_at_the_first_task_that_fails(
     assert "2 of 3 tasks were not started" in output.err
 
 
-def test_the_world_option_refuses_a_tour(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(written), "--world", "kitchen_small"]) == 2
-    error = capsys.readouterr().err
-    assert "single plan" in error
-    assert error.count("\n") == 1
+def test_the_world_option_refuses_a_tour(written: Path) -> None:
+    assert "single plan" in error_of("run", str(written), "--world", "kitchen_small")
 
 
 def test_tasks_are_split_at_then_and_options_may_be_anywhere() -> None:
@@ -302,9 +292,5 @@ def test_tasks_are_split_at_then_and_options_may_be_anywhere() -> None:
         ("open kitchen_small fridge/door_hinge then pick cup --to 3cm", "leave out joint and to"),
     ],
 )  # fmt: skip
-def test_an_invalid_command_of_tasks_is_a_one_line_error(
-    words: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["place", *words.split()]) == 2
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert message in line
+def test_an_invalid_command_of_tasks_is_a_one_line_error(words: str, message: str) -> None:
+    assert message in error_of("place", *words.split())

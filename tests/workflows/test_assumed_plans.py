@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tests import optional
+from tests.commands import error_of, json_of, output_of
 from tests.real import CASES
 from tests.rooms import Everywhere
 from tests.shapes import unchecked
@@ -113,7 +114,7 @@ def test_of_equal_probabilities_only_the_joint_of_the_scene_file_is_solved(
 
 
 def test_a_plan_for_a_joint_below_one_half_is_assumed_even_if_no_other_is_as_probable(
-    tmp_path: Path, robot: Robot, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, robot: Robot
 ) -> None:
     odds: Odds = (("drawer", 0.45), ("door_right", 0.3), ("door_left", 0.25))
     answer = answer_in(room(tmp_path / "three", odds), robot)
@@ -126,8 +127,9 @@ def test_a_plan_for_a_joint_below_one_half_is_assumed_even_if_no_other_is_as_pro
     data = json.loads((tmp_path / "plan.json").read_text())
     (tmp_path / "claims.json").write_text(json.dumps(data | {"status": "solved"}))
     for name in ("plan.json", "claims.json"):
-        assert main(["verify", str(tmp_path / name)]) == 1
-        assert "cupboard/drawer_slide is a drawer (45 %)\n" in capsys.readouterr().out
+        assert "cupboard/drawer_slide is a drawer (45 %)\n" in output_of(
+            "verify", str(tmp_path / name), status=1
+        )
 
 
 def test_any_plan_in_a_scene_with_a_less_probable_joint_is_assumed(
@@ -176,32 +178,27 @@ def test_a_plan_file_keeps_the_assumption_and_a_file_of_an_earlier_version_becom
 
 @pytest.mark.parametrize("key", ["base_pose", "manipulation"])
 def test_an_assumed_plan_without_its_motion_is_refused(
-    file: Path, tmp_path: Path, key: str, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, key: str
 ) -> None:
     data = json.loads(file.read_text()) | {key: None}
     (tmp_path / "plan.json").write_text(json.dumps(data))
-    assert main(["verify", str(tmp_path / "plan.json")]) == 2
-    assert f"{key} is missing; an assumed plan needs one" in capsys.readouterr().err
+    assert f"{key} is missing; an assumed plan needs one" in error_of(
+        "verify", str(tmp_path / "plan.json")
+    )
 
 
-def test_verify_refuses_an_assumed_plan_unless_it_is_allowed(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["verify", str(file)]) == 1
-    shown = capsys.readouterr().out
+def test_verify_refuses_an_assumed_plan_unless_it_is_allowed(file: Path) -> None:
+    shown = output_of("verify", str(file), status=1)
     assert "cupboard/door_hinge is a drawer (4 %), not a door_right (96 %)" in shown
     assert "INVALID: 1 of" in shown
     assert main(["verify", str(file), "--allow-assumed"]) == 0
 
 
 @pytest.mark.parametrize("command", [["run"], ["export", "--to", "csv"]])
-def test_an_assumed_plan_is_neither_executed_nor_exported(
-    file: Path, command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([command[0], str(file), *command[1:]]) == 2
-    said = capsys.readouterr().err
-    assert "'assumed', not solved (cupboard/door_hinge is a drawer (4 %)" in said
-    assert said.count("\n") == 1
+def test_an_assumed_plan_is_neither_executed_nor_exported(file: Path, command: list[str]) -> None:
+    assert "'assumed', not solved (cupboard/door_hinge is a drawer (4 %)" in error_of(
+        command[0], str(file), *command[1:]
+    )
 
 
 def test_a_run_of_an_assumed_plan_says_that_the_part_moved_as_assumed_and_not_done(
@@ -224,14 +221,12 @@ def test_the_page_says_what_is_assumed(assumed: PlacementResult) -> None:
 
 
 def test_place_exits_with_3_for_an_assumed_plan_unless_it_is_allowed(
-    assumed: PlacementResult, capsys: pytest.CaptureFixture[str]
+    assumed: PlacementResult,
 ) -> None:
     words = ["place", "open", assumed.plan.scene, "cupboard", "--robot", ROBOT]
-    assert main([*words, "--json"]) == 3
-    data = json.loads(capsys.readouterr().out)
+    data = json_of(*words, "--json", status=3)
     assert (data["status"], data["assumption"]["kind"]) == ("assumed", "drawer")
-    assert main([*words, "--allow-assumed"]) == 0
-    shown = capsys.readouterr().out
+    shown = output_of(*words, "--allow-assumed")
     assert shown.splitlines()[0].endswith(": assumed")
     assert "probable    door_right (96 %): feasible to" in shown
 
@@ -290,28 +285,22 @@ def test_more_objects_are_modeled_before_a_less_probable_joint_is_tried(
     assert answer.alphas == (0.45, 0.3)
 
 
-def test_a_scanned_freezer_door_is_not_solved_as_a_drawer(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_scanned_freezer_door_is_not_solved_as_a_drawer() -> None:
     scene = optional.there(CASES / "scans/unlikely/scene.json")
     words = ["place", "open", str(scene), "fridge_1/door_2_hinge", "--robot", "tiago"]
-    assert main([*words]) == 3
-    shown = capsys.readouterr().out
+    shown = output_of(*words, status=3)
     assert "door_2_hinge to 30 cm: assumed" in shown
     assert "joint type  drawer (1.5 %)" in shown
     assert "probable    door_right (96 %): not feasible" in shown
 
 
-def test_a_tour_with_an_improbable_joint_is_assumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tour_with_an_improbable_joint_is_assumed(tmp_path: Path) -> None:
     odds: Odds = (("drawer", 0.45), ("door_right", 0.3), ("door_left", 0.25))
     scene = room(tmp_path / "three", odds)
     words = ["place", "open", str(scene.path), "cupboard", "--to", "10cm", "--robot", ROBOT]
     words += ["--out", str(tmp_path / "tour.json")]
     words += ["then", "close", "cupboard"]
-    assert main(words) == 3
-    shown = capsys.readouterr().out
+    shown = output_of(*words, status=3)
     assert shown.splitlines()[0].endswith(": assumed")
     assert "assumed: cupboard/drawer_slide is a drawer (45 %)" in shown
     assert main(["verify", str(tmp_path / "tour.json")]) == 1

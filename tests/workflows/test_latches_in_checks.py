@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from tests.commands import output_of
 from tests.cupboards import latched_room
 
 from momapos.apps.cli.main import main
@@ -21,12 +22,9 @@ def test_a_scene_check_names_the_latch_at_both_joints(tmp_path: Path) -> None:
     assert "the latch of hinge" in text
 
 
-def test_a_listing_of_a_scene_names_its_latches(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_listing_of_a_scene_names_its_latches(tmp_path: Path) -> None:
     path = latched_room(tmp_path, "a sliding bolt").path
-    assert main(["scene", "show", str(path)]) == 0
-    assert "hinge opens once turn is at 0.06 m" in capsys.readouterr().out
+    assert "hinge opens once turn is at 0.06 m" in output_of("scene", "show", str(path))
 
 
 def test_an_unusable_latch_ends_with_exit_status_2(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
+from tests.commands import error_of, json_of, output_of
 
 from momapos import PipelineConfig, PlaceConfig, load_reach_map
 from momapos.apps.cli.main import main
@@ -324,9 +325,7 @@ def test_an_empty_room_is_refused(scan: Scan, tools: Tools, tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_prints_one_json_object(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_one_json_object(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "scene.json"
     words = [
         "scan",
@@ -338,20 +337,14 @@ def test_the_command_prints_one_json_object(
         "--max-frames",
         "12",
     ]
-    assert main(words) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = json_of(*words)
     assert data["frames"] == 12
     assert len(load_scene(str(out)).objects) == len(data["objects"])
 
 
-def refused(
-    folder: Path, out: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
-) -> None:
+def refused(folder: Path, out: Path, words: list[str], says: str) -> None:
     given = [str(folder) if word == "SCAN" else word for word in words]
-    assert main(["scan", *given, "--out", str(out), "--max-frames", "12"]) == 2
-    err = capsys.readouterr().err.strip().splitlines()[-1]
-    assert err.startswith("momapos: ")
-    assert says in err
+    assert says in error_of("scan", *given, "--out", str(out), "--max-frames", "12")
     assert not out.exists()
 
 
@@ -364,16 +357,14 @@ def refused(
     ],
 )
 def test_wrong_options_are_refused_in_one_line(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], says: str
+    folder: Path, tmp_path: Path, words: list[str], says: str
 ) -> None:
-    refused(folder, tmp_path / "scene.json", capsys, words, says)
+    refused(folder, tmp_path / "scene.json", words, says)
 
 
 @pytest.mark.usefixtures("surveyed")
-def test_an_unknown_target_is_refused_in_one_line(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    refused(folder, tmp_path / "scene.json", capsys, ["SCAN", "--target", "frigde"], "frigde")
+def test_an_unknown_target_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
+    refused(folder, tmp_path / "scene.json", ["SCAN", "--target", "frigde"], "frigde")
 
 
 @pytest.mark.slow
@@ -407,15 +398,14 @@ def test_a_failed_task_is_replanned_with_more_objects_until_all_are_modeled(
 
 
 def test_one_command_plans_the_opening_of_a_door_from_a_scan(
-    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     name, door, _ = same_door(made, folder)
     out = tmp_path / "new" / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
     words += ["--max-frames", "20", "--out", str(out), "--json", "--no-pictures"]
     words += ["--world", "kitchen_small", "--tolerance"]
-    assert main(words) == 0
-    record = json.loads(capsys.readouterr().out)
+    record = json_of(*words)
     assert (record["status"], record["done"]) == ("solved", True)
     assert record == json.loads((out / "solve.json").read_text())
     Draft202012Validator(schema_of("solve")).validate(record)
@@ -493,14 +483,13 @@ def test_a_detector_locates_objects_for_the_views_of_the_paper_alone(
 
 
 def test_one_command_goes_from_a_scan_to_a_plan_as_the_paper_prints_it(
-    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     name, door, _ = same_door(made, folder)
     out = tmp_path / "solved"
     words = ["solve", str(folder), "open", f"{name}/{door}", "--robot", "segway_ur5e"]
     words += ["--out", str(out), "--no-pictures", "--no-run"]
-    assert main([*words, "--method", "paper"]) == 0
-    text = capsys.readouterr().out
+    text = output_of(*words, "--method", "paper")
     assert "by the first frontal image" in text
     record = json.loads((out / "solve.json").read_text())
     assert (record["status"], record["method"]) == ("solved", "paper")
@@ -534,12 +523,9 @@ def test_no_opening_of_a_scanned_kitchen_is_solved_for_an_improbable_joint(
 
 @pytest.mark.slow
 def test_a_target_that_the_scan_does_not_show_is_refused_in_one_line(
-    made: Modeled, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     box = next(d.detection.name for d in made.decisions if d.looked and d.view is None)
     for target, told in ((box, "no door or drawer was found"), ("frigde", "mean")):
         words = ["solve", str(folder), "open", target, "--out", str(tmp_path / "solved")]
-        assert main(words) == 2
-        said = capsys.readouterr().err
-        assert told in said
-        assert said.count("\n") == 1
+        assert told in error_of(*words)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.commands import json_of, output_of
 from tests.rooms import corridor_room
 
 from momapos.apps.bench import job
@@ -23,7 +24,6 @@ from momapos.apps.bench.bench_records import (
 from momapos.apps.bench.bench_records import Row as BenchRow
 from momapos.apps.bench.folder import all_rows
 from momapos.apps.bench.job import answer_job
-from momapos.apps.cli.main import main
 from momapos.core.errors import SceneError
 from momapos.model.scene import joint_resistance
 from momapos.model.scene.scene_files import load_scene
@@ -179,18 +179,13 @@ def test_an_infeasible_opening_ends_the_job(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_a_second_run_of_a_suite_adds_no_row(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_run_of_a_suite_adds_no_row(tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = ["bench", "run", "smoke", "--out", str(out), "--methods", "habitat", "--workers", "1"]
-    assert main([*command, "--limit", "2", "--json"]) == 0
-    first = json.loads(capsys.readouterr().out)
+    first = json_of(*command, "--limit", "2", "--json")
     assert (first["jobs"], first["new"]) == (2, 2)
-    assert main([*command, "--limit", "2"]) == 0
-    assert "2 results, 0 of them new" in capsys.readouterr().out
+    assert "2 results, 0 of them new" in output_of(*command, "--limit", "2")
     rows = all_rows(out)
     assert {row.method for row in rows} == {"habitat"}
     assert all(row.outcome in ("solved", "gave up") for row in rows)
-    assert main(["bench", "report", str(out)]) == 0
-    assert "| habitat | 2 | " in capsys.readouterr().out
+    assert "| habitat | 2 | " in output_of("bench", "report", str(out))

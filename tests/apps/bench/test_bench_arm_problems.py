@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from tests.commands import error_of, json_of, output_of
 from tests.urdf_parts import LIMIT, joint, link
 
 from momapos.apps.bench.arm_suite import (
@@ -24,7 +24,6 @@ from momapos.apps.bench.arm_suite import (
     write_arm_results,
 )
 from momapos.apps.bench.metrics import markdown
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError
 
 PILLAR = {"type": "cylinder", "dimensions": [0.6, 0.3]}
@@ -200,19 +199,16 @@ def test_a_limit_takes_the_first_problems_of_every_kind(tmp_path: Path) -> None:
         find_problems(tmp_path, "ur5")
 
 
-def test_the_command_writes_results_and_the_report_shows_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_results_and_the_report_shows_them(tmp_path: Path) -> None:
     urdf, folder, out = gantry(tmp_path), tmp_path / "problems", tmp_path / "out"
     write(folder, "tall_pillar", 1, scene(PILLAR), ACROSS)
     write(folder, "tall_pillar", 2, scene(PILLAR), request((0.0, 0.0), {"x": 1.0, "y": 0.0}))
     run = ["bench", "run", "motionbenchmaker", "--out", str(out)]
     given = ["--problems", str(folder), "--robots", str(urdf)]
-    assert main([*run, *given, "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert facts["results"] == {"gantry, ours": {"solved": 1, "invalid ends": 1}}
-    assert main(["bench", "report", str(out)]) == 0
-    text = capsys.readouterr().out
+    assert json_of(*run, *given, "--json")["results"] == {
+        "gantry, ours": {"solved": 1, "invalid ends": 1}
+    }
+    text = output_of("bench", "report", str(out))
     assert "| tall pillar | 2 | 1 | 1 |" in text
     assert "| invalid ends | start touches thing0 | 1 |" in text
     found = read_arm_results(out)
@@ -236,11 +232,10 @@ def test_the_command_writes_results_and_the_report_shows_them(
     ],
 )
 def test_wrong_options_end_with_one_line_and_status_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    given: list[str], words: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], words: str,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    assert main(["bench", "run", "motionbenchmaker", "--out", "out", *given]) == 2
-    assert words in capsys.readouterr().err
-    assert main(["bench", "run", "smoke", "--out", "out", "--problems", "."]) == 2
-    assert "--problems is for articulated, motionbenchmaker" in capsys.readouterr().err
+    assert words in error_of("bench", "run", "motionbenchmaker", "--out", "out", *given)
+    assert "--problems is for articulated, motionbenchmaker" in error_of(
+        "bench", "run", "smoke", "--out", "out", "--problems", "."
+    )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of
 from tests.cupboards import BAR, DOOR, SLIDE, carcass, joint, tray
 
 from momapos.apps.bench.articulated import AUTOMOMA, SHARES, articulated_tasks, set_of
@@ -13,7 +14,6 @@ from momapos.apps.bench.bench_records import Row, Settings
 from momapos.apps.bench.folder import open_folder
 from momapos.apps.bench.report_tables import rate_table
 from momapos.apps.bench.suites import BASE_USES, SUITES
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 from momapos.model.scene.scene_files import load_scene
 
@@ -117,9 +117,7 @@ def test_the_rate_counts_the_time_of_failures() -> None:
     ],
 )
 def test_wrong_options_are_named(
-    suite: str, options: list[str], words: str, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    suite: str, options: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["bench", "run", suite, "--out", "out", *options]) == 2
-    assert words in capsys.readouterr().err
+    assert words in error_of("bench", "run", suite, "--out", "out", *options)

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from tests import optional
 from tests.apps.bench.fakes import WORKER, job
+from tests.commands import error_of
 
 from momapos.apps.bench.bench_records import Row
 from momapos.apps.bench.folder import RowStore, read_rows
 from momapos.apps.bench.runner import cluster, run_job, run_jobs
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 
 
@@ -57,9 +57,8 @@ def test_a_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_without_dask_the_message_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     command = ["bench", "run", "smoke", "--scheduler", "tcp://127.0.0.1:1", "--limit", "1"]
-    assert main([*command, "--out", str(tmp_path / "out")]) == 2
-    assert "pip install distributed" in capsys.readouterr().err
+    assert "pip install distributed" in error_of(*command, "--out", str(tmp_path / "out"))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from tests.apps.bench.fakes import row, task
+from tests.commands import error_of, json_of, output_of
 
 from momapos.apps.bench import folder as folders
 from momapos.apps.bench.bench_records import Protocol, Settings, SuiteTask
@@ -22,7 +23,6 @@ from momapos.apps.bench.folder import (
     scene_digest,
 )
 from momapos.apps.bench.suites import SUITES, SuiteKind
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, MomaposError
 
 SCENE = {
@@ -207,9 +207,8 @@ def test_two_runs_cannot_use_one_folder(tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_is_reported_in_one_line(
-    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("")
     for name, tasks in (("empty", ()), ("full", ("one",)), ("strange", ("three",))):
@@ -218,15 +217,12 @@ def test_bad_input_is_reported_in_one_line(
         for one in tasks:
             store.add(row(one, task=one))
         store.close()
-    assert main(["bench", *words]) == 2
-    shown = capsys.readouterr()
-    assert message in shown.err
-    assert (shown.err.count("\n"), shown.out) == (1, "")
+    assert message in error_of("bench", *words)
     assert not Path("x").exists() or not list(Path("x").glob("*.json"))
 
 
 def test_markdown_and_json_report_the_same_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     opened(Path("out"))
@@ -234,11 +230,9 @@ def test_markdown_and_json_report_the_same_rows(
     store.add(row("k1", task="one"))
     store.add(row("k2", task="two", outcome="failed", reason="hung: no answer in 3 s"))
     store.close()
-    assert main(["bench", "report", "out", "--compare", "out"]) == 0
-    text = capsys.readouterr().out
+    text = output_of("bench", "report", "out", "--compare", "out")
     for message in ("1 of 2", "hung: no answer in 3 s", "Comparison with the other results"):
         assert message in text
-    assert main(["bench", "report", "out", "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    data = json_of("bench", "report", "out", "--json")
     assert [one["key"] for one in data["rows"]] == ["k1", "k2"]
     assert data["suite"]["name"] == "made"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.apps.bench.fakes import suite, task
+from tests.commands import error_of, json_of, output_of
 
 from momapos.apps.bench import job as steps
 from momapos.apps.bench.bench_records import (
@@ -24,7 +24,6 @@ from momapos.apps.bench.job import answer_job
 from momapos.apps.bench.methods import method_config
 from momapos.apps.bench.runner import failed_row, jobs_of
 from momapos.apps.bench.suites import SUITES, protocols_of
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
@@ -189,12 +188,9 @@ def test_a_suite_has_its_own_protocols_or_the_users(
     ],
 )
 def test_a_protocol_that_cannot_be_honored_is_refused_in_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path
 ) -> None:
-    assert main(["bench", "run", *words, "--out", str(tmp_path / "out")]) == 2
-    shown = capsys.readouterr()
-    assert message in shown.err
-    assert (shown.err.count("\n"), shown.out) == (1, "")
+    assert message in error_of("bench", "run", *words, "--out", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
@@ -207,7 +203,7 @@ def test_paper_table_runs_the_tasks_of_paper_real_under_the_papers_protocol_and_
 
 @pytest.mark.timeout(300)
 def test_the_table_of_a_run_with_two_protocols_has_both_and_the_printed_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cup = replace(CUP, name="cup", group="grasp cup")
     made = replace(SUITES["paper-table"], build=lambda *_: [cup], robots=("segway_ur5e",))
@@ -215,12 +211,10 @@ def test_the_table_of_a_run_with_two_protocols_has_both_and_the_printed_figures(
     out = str(tmp_path / "out")
     run = ["bench", "run", "paper-table", "--methods", "habitat", "--workers", "1", "--out", out]
     for new in (2, 0):
-        assert main([*run, "--disturbances", "0", "--json"]) == 0
-        facts = json.loads(capsys.readouterr().out)
+        facts = json_of(*run, "--disturbances", "0", "--json")
         assert (facts["jobs"], facts["new"]) == (2, new)
     assert set(facts["outcomes"]) == {"habitat (first, pinch)", "habitat (retry, all)"}
-    assert main(["bench", "report", out, "--compare", out]) == 0
-    text = capsys.readouterr().out
+    text = output_of("bench", "report", out, "--compare", out)
     for protocol in ("first, pinch", "retry, all"):
         assert f"The published table and ours ({protocol})" in text
         assert f"Orders of the methods that differ from the published table ({protocol})" in text

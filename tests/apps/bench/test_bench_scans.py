@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of
 
 from momapos.apps.bench import job as answer
 from momapos.apps.bench import scanned_rooms as scans
 from momapos.apps.bench.bench_records import Job, Settings, SuiteTask
 from momapos.apps.bench.job import NOT_SEEN, answer_job
 from momapos.apps.bench.scanned_rooms import ScannedRoom, scanned_room
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -130,8 +130,7 @@ def test_the_time_of_a_row_from_a_scan_includes_modeling(
     ],
 )
 def test_wrong_scan_options_are_reported_in_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path
 ) -> None:
-    assert main(["bench", "run", *words, "--out", str(tmp_path / "out")]) == 2
-    assert message in capsys.readouterr().err
+    assert message in error_of("bench", "run", *words, "--out", str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-
-from momapos.apps.cli.main import main
+from tests.commands import output_of
 
 DRAWER = ["place", "open", "kitchen_small", "cabinet_right/drawer_middle_slide", "--no-advice"]
 WHY = "violate a restriction"
@@ -20,17 +19,13 @@ AREA = "no way to drive there outside the keep-out area around (0.00, 0.00), whe
     ],
 )
 def test_the_output_names_the_restriction_that_leaves_no_base_pose(
-    words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], reason: str
 ) -> None:
-    assert main([*DRAWER, "--robot", "segway_ur5e", *words]) == 3
-    shown = capsys.readouterr().out
+    shown = output_of(*DRAWER, "--robot", "segway_ur5e", *words, status=3)
     assert WHY in shown or f"infeasible  {AREA}" in shown
     assert reason in shown
 
 
-def test_the_output_names_no_restriction_if_the_arm_is_the_reason(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_output_names_no_restriction_if_the_arm_is_the_reason() -> None:
     low = [*DRAWER[:3], "cabinet_right/drawer_bottom_slide", *DRAWER[4:], "--robot", "segway_ur5e"]
-    assert main([*low, "--most-driving", "9m"]) == 3
-    assert WHY not in capsys.readouterr().out
+    assert WHY not in output_of(*low, "--most-driving", "9m", status=3)

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of, json_of, output_of
 
 from momapos.apps.cli.base_pose_words import parse_pose
-from momapos.apps.cli.main import COMMANDS, main
+from momapos.apps.cli.main import COMMANDS
 from momapos.apps.cli.names import SHELLS
 from momapos.core.errors import TaskError
 from momapos.core.units import parse_quantity
@@ -25,9 +26,8 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
 
 
-def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    shown = capsys.readouterr().out
+def test_help_names_every_command() -> None:
+    shown = output_of("--help")
     assert all(name in shown for name in COMMANDS)
 
 
@@ -57,21 +57,16 @@ GROUPS = {name: group for name, (_, group) in COMMANDS.items() if isinstance(gro
 
 
 @pytest.mark.parametrize("name", GROUPS)
-def test_every_subcommand_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([name, "--help"]) == 0
-    shown = capsys.readouterr().out
+def test_every_subcommand_has_help(name: str) -> None:
+    shown = output_of(name, "--help")
     for sub in GROUPS[name]:
         assert f"  {sub} " in shown
-        assert main([name, sub, "--help"]) == 0
-        assert f"momapos {name} {sub}" in capsys.readouterr().out
+        assert f"momapos {name} {sub}" in output_of(name, sub, "--help")
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_every_shell_completes_every_command(
-    shell: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["--tyro-print-completion", shell]) == 0
-    shown = capsys.readouterr().out
+def test_every_shell_completes_every_command(shell: str) -> None:
+    shown = output_of("--tyro-print-completion", shell)
     assert all(name in shown for name in COMMANDS)
     assert all(sub in shown for group in GROUPS.values() for sub in group)
     assert "--method" in shown
@@ -114,48 +109,32 @@ def test_every_shell_completes_every_command(
         (["verify", "no_such_plan.json"], "no_such_plan.json"),
     ],
 )
-def test_unusable_input_is_one_line_and_status_2(
-    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(words) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
-    assert "Traceback" not in shown.err
+def test_unusable_input_is_one_line_and_status_2(words: list[str], hint: str) -> None:
+    assert hint in error_of(*words)
 
 
-def test_a_lack_of_memory_is_one_line_and_status_2(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lack_of_memory_is_one_line_and_status_2(monkeypatch: pytest.MonkeyPatch) -> None:
     def too_large() -> int:
         return len(np.zeros(2**62, np.uint8))
 
     monkeypatch.setattr("momapos.apps.cli.robot.robot_list", too_large)
-    assert main(["robot", "list"]) == 2
-    shown = capsys.readouterr().err
-    assert "not enough memory" in shown
-    assert shown.count("\n") == 1
+    assert "not enough memory" in error_of("robot", "list")
 
 
-def test_a_solved_task_is_status_0_and_its_plan_is_valid(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_solved_task_is_status_0_and_its_plan_is_valid(tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     words = ["place", "open", "kitchen_small", "microwave", "--robot", "segway_ur5e"]
-    assert main([*words, "--out", str(plan), "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = json_of(*words, "--out", str(plan), "--json")
     assert shown["status"] == "solved"
     written = json.loads(plan.read_text())
     assert set(written.pop("hashes")) == {"scene", "robot"}  # of the files, which only it names
     assert shown == written | {key: shown[key] for key in ("scene", "robot")}
-    assert main(["verify", str(plan)]) == 0
-    assert "VALID" in capsys.readouterr().out
+    assert "VALID" in output_of("verify", str(plan))
 
 
-def test_an_infeasible_task_is_status_3_with_reasons(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_infeasible_task_is_status_3_with_reasons() -> None:
     words = ["place", "open", "kitchen_small", "cabinet_right/drawer_bottom_slide"]
-    assert main([*words, "--robot", "segway_ur5e", "--no-advice"]) == 3
-    shown = capsys.readouterr().out
+    shown = output_of(*words, "--robot", "segway_ur5e", "--no-advice", status=3)
     assert "infeasible" in shown
     assert "out of reach" in shown
 

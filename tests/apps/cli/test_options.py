@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.commands import error_of, output_of
 
 from momapos import ImportanceConfig, PipelineConfig, PlaceConfig
 from momapos.apps.cli.main import main
@@ -40,47 +41,33 @@ def read_config(
     return read
 
 
-def refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Check that a command exits with status 2, and return its line on stderr."""
-    assert main(words) == 2
-    shown = capsys.readouterr()
-    assert shown.err.count("\n") == 1
-    assert "Traceback" not in shown.err
-    assert shown.out == ""
-    return shown.err
-
-
 @pytest.mark.parametrize(
     ("command", "most"), [("place open", 30), ("place pick", 30), ("rank", 15), ("solve", 32)]
 )
 def test_a_help_text_has_few_options(
-    command: str, most: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str, most: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    assert main([*command.split(), "--help"]) == 0
-    names = re.findall(r"^\W{0,4}(--[a-z][a-z-]*)", capsys.readouterr().out, re.MULTILINE)
+    names = re.findall(
+        r"^\W{0,4}(--[a-z][a-z-]*)", output_of(*command.split(), "--help"), re.MULTILINE
+    )
     assert {"--json", "--config", "--set", "--help-all"} <= set(names)
     assert len(set(names)) <= most
 
 
 @pytest.mark.parametrize("command", ["place open", "place pick kitchen_small cup", "solve"])
-def test_help_all_lists_every_field_with_default_and_meaning(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*command.split(), "--help-all"]) == 0
-    shown = capsys.readouterr().out
+def test_help_all_lists_every_field_with_default_and_meaning(command: str) -> None:
+    shown = output_of(*command.split(), "--help-all")
     assert re.search(r"^importance\.k0 = 0\.5  \w", shown, re.MULTILINE)
     for item in list_fields(PipelineConfig()):
         assert item.text, item.path
         assert f"{item.path} = {item.value}  {item.text}\n" in shown
 
 
-def test_help_all_lists_only_what_a_command_uses(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["rank", "--help-all"]) == 0
-    lines = capsys.readouterr().out.splitlines()[2:]
+def test_help_all_lists_only_what_a_command_uses() -> None:
+    lines = output_of("rank", "--help-all").splitlines()[2:]
     assert all(line.startswith("importance.") for line in lines)
-    assert main(["scan", "--help-all"]) == 0
-    assert "scan.voxel = 0.015  Voxel size" in capsys.readouterr().out
+    assert "scan.voxel = 0.015  Voxel size" in output_of("scan", "--help-all")
 
 
 def test_options_take_precedence_over_set_over_file_over_defaults(
@@ -136,10 +123,8 @@ def test_robustness_is_a_length_and_an_angle(
         ((*PLACE, "--method", "gess"), "'gess'"),
     ],
 )
-def test_an_unusable_setting_is_one_line_that_names_it(
-    words: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert line in refused([*words], capsys)
+def test_an_unusable_setting_is_one_line_that_names_it(words: tuple[str, ...], line: str) -> None:
+    assert line in error_of(*words)
 
 
 @pytest.mark.parametrize(
@@ -160,27 +145,25 @@ def test_an_unusable_setting_is_one_line_that_names_it(
     ],
 )
 def test_an_unusable_file_is_one_line_that_names_file_and_field(
-    toml: str, line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    toml: str, line: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "my.toml"
     file.write_text(toml)
-    shown = refused([*PLACE, "--config", str(file)], capsys)
+    shown = error_of(*PLACE, "--config", str(file))
     assert line.format(file) in shown
 
 
-def test_solve_takes_the_options_of_a_scan(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_solve_takes_the_options_of_a_scan(tmp_path: Path) -> None:
     words = ["solve", str(tmp_path / "none"), "open", "fridge", "--out", str(tmp_path / "out")]
-    assert "no such scan" in refused([*words, "--max-frames", "9", "--timeout", "3"], capsys)
-    assert "no such scan" in refused([*words, "--set", "scan.voxel=0.02"], capsys)
-    assert "--max-frames must be" in refused([*words, "--max-frames", "0"], capsys)
-    assert "--set scan.voxel must be" in refused([*words, "--set", "scan.voxel=2"], capsys)
-    assert "kitchen_smal" in refused([*words, "--world", "kitchen_smal"], capsys)
+    assert "no such scan" in error_of(*words, "--max-frames", "9", "--timeout", "3")
+    assert "no such scan" in error_of(*words, "--set", "scan.voxel=0.02")
+    assert "--max-frames must be" in error_of(*words, "--max-frames", "0")
+    assert "--set scan.voxel must be" in error_of(*words, "--set", "scan.voxel=2")
+    assert "kitchen_smal" in error_of(*words, "--world", "kitchen_smal")
     no_run = [*words, "--world", "kitchen_small", "--no-run"]
     pick = ["solve", words[1], "pick", *words[3:], "--world", "kitchen_small"]
     for some in (no_run, pick):
-        assert "--world is the room in which a part is opened or closed" in refused(some, capsys)
+        assert "--world is the room in which a part is opened or closed" in error_of(*some)
 
 
 def test_the_scorer_depends_on_the_method_unless_it_is_set() -> None:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.commands import error_of, json_of, output_of
 
 from momapos.apps.cli.main import main
 
 
-def test_the_table_shows_the_score_and_relation_of_every_object(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["rank", "kitchen_small", "counter"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_the_table_shows_the_score_and_relation_of_every_object() -> None:
+    lines = output_of("rank", "kitchen_small", "counter").splitlines()
     rows = {line.split()[2 if "*" in line else 1]: line for line in lines[3:]}
     assert len(rows) == 17
     assert "1.000  *  counter" in rows["counter"]
@@ -26,10 +23,9 @@ def test_the_table_shows_the_score_and_relation_of_every_object(
     assert rows["chair"].endswith("not related")
 
 
-def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_one_object_and_nothing_else() -> None:
     words = ["rank", "kitchen_small", "fridge", "--json", "--seed", "4", "--alpha", "0.6"]
-    assert main(words) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = json_of(*words)
     assert (shown["target"], shown["seed"], shown["config"]["alpha"]) == ("fridge", 4, 0.6)
     scores = [item["score"] for item in shown["objects"]]
     assert scores == sorted(scores, reverse=True)
@@ -74,17 +70,10 @@ def test_the_figure_is_written_to_the_given_file(tmp_path: Path) -> None:
         (["fridge", "--set", "importance.graph.near=-1"], "importance.graph.near"),
     ],
 )
-def test_unusable_input_is_one_line_and_status_2(
-    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["rank", "kitchen_small", *words]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
-    assert shown.out == ""
+def test_unusable_input_is_one_line_and_status_2(words: list[str], hint: str) -> None:
+    assert hint in error_of("rank", "kitchen_small", *words)
 
 
-def test_rank_help_shows_every_option(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["rank", "--help"]) == 0
-    shown = capsys.readouterr().out
+def test_rank_help_shows_every_option() -> None:
+    shown = output_of("rank", "--help")
     assert all(f"--{name}" in shown for name in ("scorer", "alpha", "seed", "plot", "json", "set"))

@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import pytest
-
-from momapos.apps.cli.main import main
+from tests.commands import error_of, json_of
 
 
-def test_an_arm_without_a_map_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_arm_without_a_map_is_refused() -> None:
     for words in (["reach", "build", "stretch"], ["reach", "eval", "stretch"]):
-        assert main(words) == 2
-        shown = capsys.readouterr()
-        assert "stretch has no reachability map: its arm has 5 degrees of freedom" in shown.err
-        assert shown.err.count("\n") == 1
+        assert "stretch has no reachability map: its arm has 5 degrees of freedom" in error_of(
+            *words
+        )
 
 
-def test_a_file_contains_the_map_of_one_arm(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_contains_the_map_of_one_arm(tmp_path: Path) -> None:
     out = tmp_path / "two.reach"
-    assert main(["reach", "build", "tiago_dual", "--out", str(out)]) == 2
-    assert "can hold the map of one arm only; give --arm left or right" in capsys.readouterr().err
+    assert "can hold the map of one arm only; give --arm left or right" in error_of(
+        "reach", "build", "tiago_dual", "--out", str(out)
+    )
     assert not out.exists()
-    assert main(["reach", "build", "tiago_dual", "--arm", "middle"]) == 2
-    assert "no arm 'middle'" in capsys.readouterr().err
+    assert "no arm 'middle'" in error_of("reach", "build", "tiago_dual", "--arm", "middle")
 
 
-def test_errors_of_a_map_are_reported_near_the_boundary_and_in_the_ball(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["reach", "eval", "segway_ur5e", "--count", "400", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+def test_errors_of_a_map_are_reported_near_the_boundary_and_in_the_ball() -> None:
+    told = json_of("reach", "eval", "segway_ur5e", "--count", "400", "--json")
     assert told["misses_near_reach"] < 0.05
     assert told["false_positives_near_reach"] < 0.08
     assert told["reachable_near_reach"] > told["reachable"], "the ball is mostly out of reach"

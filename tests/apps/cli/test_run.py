@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from jaxtyping import Float
+from tests.commands import error_of, json_of, output_of
 from tests.rooms import Everywhere
 from tests.verification.door_case import make_case
 
@@ -55,21 +56,12 @@ def plan(kitchen: Scene, segway: Robot) -> PlacementPlan:
     return plan
 
 
-def refused(words: list[str], hint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Check that the command exits with status 2 and one line that contains the hint."""
-    assert main(["run", *words]) == 2
-    shown = capsys.readouterr().err
-    assert hint in shown
-    assert shown.count("\n") == 1
-
-
 def test_a_plan_opens_the_fridge_and_the_record_reports_it(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plan: PlacementPlan, tmp_path: Path
 ) -> None:
     path, out = tmp_path / "plan.json", tmp_path / "run.json"
     write_plan(plan, path)
-    assert main(["run", str(path), "--no-noise", "--out", str(out), "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = json_of("run", str(path), "--no-noise", "--out", str(out), "--json")
     record = read_run(out)
     assert shown["success"]
     assert record.success
@@ -83,29 +75,27 @@ def test_a_plan_opens_the_fridge_and_the_record_reports_it(
     assert "open fridge/door_hinge: done" in summary(record)
 
 
-def test_zero_tries_are_refused(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_zero_tries_are_refused(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    refused([str(tmp_path / "plan.json"), "--tries", "0"], "--tries must be between 1", capsys)
+    assert "--tries must be between 1" in error_of(
+        "run", str(tmp_path / "plan.json"), "--tries", "0"
+    )
 
 
-def test_what_an_exact_run_cannot_regard_is_refused(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_an_exact_run_cannot_regard_is_refused(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     for option in (["--start", "1,0,0"], ["--tries", "2"], ["--world", "kitchen_small"]):
         words = f"--exact follows the plan as it is; leave out {option[0]}"
-        refused([str(tmp_path / "plan.json"), "--exact", *option], words, capsys)
+        assert words in error_of("run", str(tmp_path / "plan.json"), "--exact", *option)
 
 
-def test_an_exact_run_reports_and_writes_its_record(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_exact_run_reports_and_writes_its_record(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
     out = tmp_path / "run.json"
-    assert main(["run", str(tmp_path / "plan.json"), "--exact", "--out", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["exact"] is True
+    assert (
+        json_of("run", str(tmp_path / "plan.json"), "--exact", "--out", str(out), "--json")["exact"]
+        is True
+    )
     record = read_run(out)
     assert record.exact
     np.testing.assert_allclose(record.motion.bases[0], plan.start, atol=1e-3)
@@ -113,19 +103,17 @@ def test_an_exact_run_reports_and_writes_its_record(
 
 
 def test_a_missing_world_or_a_pose_without_world_is_refused(
-    plan: PlacementPlan,
-    kitchen: Scene,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    segway: Robot,
+    plan: PlacementPlan, kitchen: Scene, tmp_path: Path, segway: Robot
 ) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    refused([str(tmp_path / "plan.json"), "--world-at", "0,0,0"], "--world-at", capsys)
+    assert "--world-at" in error_of("run", str(tmp_path / "plan.json"), "--world-at", "0,0,0")
     there = tmp_path / "scene.json"
     there.write_text("{}")
-    refused([str(tmp_path / "plan.json"), "--out-scene", str(there)], "exists already", capsys)
+    assert "exists already" in error_of(
+        "run", str(tmp_path / "plan.json"), "--out-scene", str(there)
+    )
     assert there.read_text() == "{}"
-    refused([str(tmp_path / "plan.json"), "--world", "no_such_room"], "no_such_room", capsys)
+    assert "no_such_room" in error_of("run", str(tmp_path / "plan.json"), "--world", "no_such_room")
     far = moved(kitchen, np.array([9.0, 0.0, 0.0]))
     with pytest.raises(InputError, match="no part that opens"):
         run_plan(plan, kitchen, segway, Everywhere(), world=far, config=CONFIG)
@@ -318,9 +306,7 @@ def test_a_start_in_collision_in_the_simulation_is_a_failure(
     assert "start in collision" in record.reason
 
 
-def test_a_scene_that_changed_after_planning_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], fetch: Robot
-) -> None:
+def test_a_scene_that_changed_after_planning_is_refused(tmp_path: Path, fetch: Robot) -> None:
     made = PlacementPlan(
         scene=str(make_case().write(tmp_path).with_name("scene.json")),
         robot_name="fetch", robot_urdf=str(fetch.model.urdf.path), base_link=fetch.base_link,
@@ -329,12 +315,10 @@ def test_a_scene_that_changed_after_planning_is_refused(
     )  # fmt: skip
     write_plan(made, tmp_path / "plan.json")
     (tmp_path / "scene.json").write_text((tmp_path / "scene.json").read_text() + " ")
-    refused([str(tmp_path / "plan.json")], "scene.json) has changed since", capsys)
+    assert "scene.json) has changed since" in error_of("run", str(tmp_path / "plan.json"))
 
 
-def test_a_robot_that_changed_after_planning_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_robot_that_changed_after_planning_is_refused(tmp_path: Path) -> None:
     case = make_case()
     case.write(tmp_path)
     digests = {
@@ -344,7 +328,7 @@ def test_a_robot_that_changed_after_planning_is_refused(
     case.plan["hashes"] = digests
     path = case.write(tmp_path)
     (tmp_path / "robot.urdf").write_text((tmp_path / "robot.urdf").read_text() + "<!-- -->")
-    refused([str(path)], "robot.urdf) has changed since", capsys)
+    assert "robot.urdf) has changed since" in error_of("run", str(path))
 
 
 def still(robot: Robot) -> Motion:
@@ -362,26 +346,22 @@ def still(robot: Robot) -> Motion:
     ],
 )
 def test_a_plan_that_cannot_be_executed_is_refused(
-    change: dict[str, object], hint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: dict[str, object], hint: str, tmp_path: Path
 ) -> None:
     case = make_case()
     case.plan |= change
-    refused([str(case.write(tmp_path))], hint, capsys)
+    assert hint in error_of("run", str(case.write(tmp_path)))
 
 
-def test_a_plan_without_a_robot_file_needs_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_without_a_robot_file_needs_one(tmp_path: Path) -> None:
     path = make_case().write(tmp_path)
-    refused([str(path)], "give --robot", capsys)
-    refused([str(path), "--robot", "fetch"], "another robot", capsys)
+    assert "give --robot" in error_of("run", str(path))
+    assert "another robot" in error_of("run", str(path), "--robot", "fetch")
 
 
-def test_a_start_in_collision_is_refused(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_start_in_collision_is_refused(plan: PlacementPlan, tmp_path: Path) -> None:
     write_plan(plan, tmp_path / "plan.json")
-    refused([str(tmp_path / "plan.json"), "--start", "1,0,0"], "would hit", capsys)
+    assert "would hit" in error_of("run", str(tmp_path / "plan.json"), "--start", "1,0,0")
 
 
 def at_base(plan: PlacementPlan, base: tuple[float, float, float]) -> PlacementPlan:
@@ -392,11 +372,12 @@ def at_base(plan: PlacementPlan, base: tuple[float, float, float]) -> PlacementP
 
 
 def test_from_an_unreachable_base_pose_the_run_goes_on_to_the_next_one(
-    plan: PlacementPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plan: PlacementPlan, tmp_path: Path
 ) -> None:
     write_plan(at_base(plan, (1.0, 0.0, 1.57)), tmp_path / "plan.json")
-    assert main(["run", str(tmp_path / "plan.json"), "--no-noise"]) == 0
-    assert "the goal is in collision with" in capsys.readouterr().out
+    assert "the goal is in collision with" in output_of(
+        "run", str(tmp_path / "plan.json"), "--no-noise"
+    )
 
 
 def test_a_blocked_in_base_fails_with_that_reason(
@@ -424,8 +405,6 @@ def test_a_blocked_in_base_fails_with_that_reason(
     assert json.loads(capsys.readouterr().out)["reason"] == record.reason
 
 
-def test_a_film_is_a_png_a_gif_or_an_mp4(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_film_is_a_png_a_gif_or_an_mp4(tmp_path: Path) -> None:
     path = make_case().write(tmp_path)
-    refused([str(path), "--record", "film.mov"], ".png", capsys)
+    assert ".png" in error_of("run", str(path), "--record", "film.mov")

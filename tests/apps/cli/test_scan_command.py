@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of
 from tests.furnished import cloud_of, kitchen
 from tests.perception.recordings.recorded import write_ply
 
@@ -62,12 +63,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_an_option_out_of_range_is_one_line_with_the_bounds(
-    words: list[str],
-    hint: str,
-    room: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], hint: str, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
@@ -83,10 +79,7 @@ def test_an_option_out_of_range_is_one_line_with_the_bounds(
         Path("three.json").write_text(json.dumps([{"id": 3, "name": "oven"}]))
     np.save("l.npy", np.ones(5, int))
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
-    assert main(["scan", str(room), "--out", "new/scene.json", *words]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
+    assert hint in error_of("scan", str(room), "--out", "new/scene.json", *words)
     assert not (tmp_path / "new").exists()
 
 
@@ -100,11 +93,7 @@ def test_an_option_out_of_range_is_one_line_with_the_bounds(
     ],
 )
 def test_an_unwritable_output_is_refused_before_the_scan_is_read(
-    out: str,
-    hint: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    out: str, hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("taken").mkdir()
@@ -113,18 +102,12 @@ def test_an_unwritable_output_is_refused_before_the_scan_is_read(
     Path("models").mkdir()
     Path("models/scene_urdf").write_text("mine")
     # There is no such scan: the line about --out comes first.
-    assert main(["scan", "no_scan", "--out", out]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
+    assert hint in error_of("scan", "no_scan", "--out", out)
 
 
-def test_a_scan_that_is_a_fifo_is_refused_without_waiting(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_that_is_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "scan.ply")
-    assert main(["scan", str(tmp_path / "scan.ply"), "--out", str(tmp_path / "a.json")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    error_of("scan", str(tmp_path / "scan.ply"), "--out", str(tmp_path / "a.json"))
 
 
 @pytest.mark.parametrize(

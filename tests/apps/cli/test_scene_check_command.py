@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.commands import error_of, json_of, output_of
 
 from momapos.apps.cli.main import main
 from momapos.apps.web.words import check_lines
@@ -24,23 +25,17 @@ def write(folder: Path, *items: dict[str, Any], **members: Any) -> str:
     return str(path)
 
 
-def test_a_sane_kitchen_has_a_table_of_joints_and_no_findings(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["scene", "check", "kitchen_small"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_a_sane_kitchen_has_a_table_of_joints_and_no_findings() -> None:
+    lines = output_of("scene", "check", "kitchen_small").splitlines()
     assert lines[0].endswith("17 objects, 13 joints")
     assert lines[1].split()[:4] == ["joint", "closed", "to", "open"]
     assert len(lines) == 1 + 1 + 13 + 1
     assert "fetch: the scene's start" in lines[-1]
 
 
-def test_json_is_one_object_with_the_findings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_one_object_with_the_findings(tmp_path: Path) -> None:
     path = write(tmp_path, {**CRATE, "pose": {"xyz": [1, 0, 0.2], "quat": [1, 0, 0, 0]}})
-    assert main(["scene", "check", path, "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
+    facts = json_of("scene", "check", path, "--json")
     assert facts["usable"] is True
     assert facts["counts"] == {"error": 0, "warning": 1, "note": 0}
     (found,) = facts["findings"]
@@ -60,34 +55,26 @@ def test_a_scene_that_planning_refuses_has_status_2(
     assert "would touch crate" in capsys.readouterr().out
 
 
-def test_what_cannot_be_loaded_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_loaded_is_one_line(tmp_path: Path) -> None:
     huge = {"name": "fridge", "category": "fridge", "pose": {"xyz": [0, 0, 900]}}
     path = write(tmp_path, {**huge, "box": [600, 700, 1800]})
     for args in (["scene", "check", path], ["scene", "check", "kitchen_smal"],
                  ["scene", "check", "kitchen_small", "--robot", "fetsch"]):  # fmt: skip
-        assert main(args) == 2
-        shown = capsys.readouterr()
-        assert shown.out == ""
-        assert shown.err.count("\n") == 1
-    assert main(["scene", "check", path]) == 2
-    assert "are these millimeters (factor 0.001" in capsys.readouterr().err
+        error_of(*args)
+    assert "are these millimeters (factor 0.001" in error_of("scene", "check", path)
 
 
-def test_show_and_the_page_begin_with_the_warnings(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kitchen: Scene
-) -> None:
+def test_show_and_the_page_begin_with_the_warnings(tmp_path: Path, kitchen: Scene) -> None:
     floating = {**CRATE, "name": "mug", "pose": {"xyz": [2, 0, 0.5]}, "box": [0.08, 0.08, 0.1]}
     path = write(tmp_path, CRATE, floating, colour="red")
-    assert main(["scene", "show", path]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = output_of("scene", "show", path).splitlines()
     assert lines[1].startswith("  check: 2 warnings; 'momapos scene check ")
     assert "'colour' is not known" in lines[2]
     assert "'mug' is in the air" in lines[3]
-    assert main(["scene", "show", path, "--json"]) == 0
-    facts = json.loads(capsys.readouterr().out)
-    assert [one["kind"] for one in facts["findings"]] == ["unknown key", "in the air"]
+    assert [one["kind"] for one in json_of("scene", "show", path, "--json")["findings"]] == [
+        "unknown key",
+        "in the air",
+    ]
     lines = check_lines(check_scene(load_scene(path)))
     assert [line.partition(":")[0] for line in lines] == ["warning", "warning"]
     assert check_lines(check_scene(kitchen)) == []

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.commands import error_of
 
 from momapos.apps.cli.main import main
 
@@ -85,17 +86,10 @@ def test_without_noise_no_depth_is_missing_on_the_furniture(tmp_path: Path) -> N
     ],
 )
 def test_unusable_input_is_one_line_and_nothing_is_written(
-    words: list[str],
-    hint: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: list[str], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "file").write_text("mine")
-    assert main(["scene", "scan", *words]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
+    assert hint in error_of("scene", "scan", *words)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "used"]

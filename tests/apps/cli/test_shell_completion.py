@@ -13,6 +13,7 @@ from pathlib import Path
 from shutil import which
 
 import pytest
+from tests.commands import output_of
 from tests.optional import skip
 
 from momapos.apps.cli.main import main
@@ -157,11 +158,8 @@ for word in "${COMPREPLY[@]}"; do echo "<$word>"; done
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_scripts_are_the_same_each_time_and_offer_no_none(
-    shell: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["--tyro-print-completion", shell]) == 0
-    script = capsys.readouterr().out
+def test_scripts_are_the_same_each_time_and_offer_no_none(shell: str) -> None:
+    script = output_of("--tyro-print-completion", shell)
     choices = re.findall(r"choices\\?': \[([^]]*)\]", script)
     assert len(choices) > 10
     assert all(words.split(", ") == sorted(words.split(", ")) for words in choices)

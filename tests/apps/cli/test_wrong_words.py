@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from tests.commands import error_of
 
-from momapos.apps.cli.main import main
 from momapos.apps.cli.parse import in_one_line
 
 DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
@@ -27,20 +27,13 @@ DOOR = ("place", "open", "kitchen_small", "fridge/door_hinge")
 )
 @pytest.mark.parametrize("columns", ["40", "200"])
 def test_wrong_arguments_are_reported_in_one_line(
-    words: tuple[str, ...],
-    parts: list[str],
-    columns: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...], parts: list[str], columns: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    assert main(words) == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert shown.err.count("\n") == 1
+    shown = error_of(*words)
     prog = " ".join(["momapos", *words[: 2 if words[0] == "place" else 1]])
-    assert shown.err.endswith(f"; see {prog} --help\n")
-    assert [text for text in parts if text not in shown.err] == []
+    assert shown.endswith(f"; see {prog} --help")
+    assert [text for text in parts if text not in shown] == []
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.commands import error_of, output_of
 from tests.rooms import Everywhere
 
 from momapos.apps.cli.main import main
@@ -91,15 +92,16 @@ def test_a_table_of_a_run_has_each_time_of_its_record_once(
 
 @pytest.mark.parametrize("to", ["csv", "mcap", "npz"])
 def test_a_run_beyond_the_limits_of_a_joint_is_refused(
-    run_file: Path, to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run_file: Path, to: str, tmp_path: Path
 ) -> None:
     data = json.loads(run_file.read_text())
     name = next(iter(data["motion"]["joints"]))
     data["motion"]["joints"][name][2] = 9.5
     run_file.write_text(json.dumps(data))
     out = tmp_path / "out"
-    assert main(["export", str(run_file), "--to", to, "--out", str(out)]) == 2
-    assert f"moves {name!r} to 9.5; its limits are" in capsys.readouterr().err
+    assert f"moves {name!r} to 9.5; its limits are" in error_of(
+        "export", str(run_file), "--to", to, "--out", str(out)
+    )
     assert not out.exists()
 
 
@@ -183,12 +185,13 @@ def test_a_run_has_no_goals_and_the_message_names_its_plan(
 
 
 def test_a_tour_is_exported_plan_by_plan_or_not_at_all(
-    plans: dict[str, PlacementPlan], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plans: dict[str, PlacementPlan], tmp_path: Path
 ) -> None:
     tour, out = tmp_path / "tour.json", tmp_path / "out.csv"
     write_tour(tour, [plans["open"], plans["pick"]], [1, 2], [])
-    assert main(["export", str(tour), "--to", "csv", "--out", str(out)]) == 0
-    assert capsys.readouterr().out.split() == [str(tmp_path / f"out_{k}.csv") for k in (1, 2)]
+    assert output_of("export", str(tour), "--to", "csv", "--out", str(out)).split() == [
+        str(tmp_path / f"out_{k}.csv") for k in (1, 2)
+    ]
     for k, plan in enumerate(plans.values(), start=1):
         alone = tmp_path / f"alone_{k}.csv"
         write_plan(plan, tmp_path / "alone.json")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests.commands import json_of
 
 from momapos.apps.cli.main import main
 from momapos.apps.plots.robot_figures import reach_slice, tool_axes
@@ -48,15 +48,15 @@ def test_a_share_is_the_share_of_reachable_tool_poses(segway: Robot) -> None:
     assert share[row, column] == pytest.approx((reached > 0).mean())
 
 
-def test_a_map_displays_itself_and_a_command_draws_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], segway: Robot
-) -> None:
+def test_a_map_displays_itself_and_a_command_draws_it(tmp_path: Path, segway: Robot) -> None:
     reach = load_reach(segway)
     assert isinstance(reach, ReachMap)
     assert reach._repr_png_().startswith(b"\x89PNG")
     path = tmp_path / "reach.png"
-    assert main(["reach", "build", "segway_ur5e", "--plot", str(path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["robot"] == "segway_ur5e"
+    assert (
+        json_of("reach", "build", "segway_ur5e", "--plot", str(path), "--json")["robot"]
+        == "segway_ur5e"
+    )
     with Image.open(path) as image:
         assert len(image.convert("RGB").getcolors(1_000_000) or ()) > 50
     assert main(["reach", "build", "segway_ur5e", "--plot", str(tmp_path / "reach.txt")]) == 2

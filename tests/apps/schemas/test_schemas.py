@@ -15,6 +15,7 @@ import docs_hooks
 import jsonschema
 import pytest
 from jsonschema import Draft202012Validator
+from tests.commands import error_of, output_of
 
 from momapos.apps.bench.bench_records import Row, to_plain
 from momapos.apps.cli.main import main
@@ -224,9 +225,8 @@ def test_the_documentation_has_each_schema(name: str, capsys: pytest.CaptureFixt
     assert file.read_text() == capsys.readouterr().out, f"momapos schema {name} > {file}"
 
 
-def test_the_documentation_lists_the_members(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["schema", "--fields"]) == 0
-    shown = capsys.readouterr().out
+def test_the_documentation_lists_the_members() -> None:
+    shown = output_of("schema", "--fields")
     page: Any = SimpleNamespace(file=SimpleNamespace(src_uri="formats.md"))
     nothing: Any = None
     site = docs_hooks.on_page_markdown("# Formats", page=page, config=nothing, files=nothing)
@@ -245,11 +245,7 @@ def test_a_member_is_listed_once_with_its_default() -> None:
     assert both.count("| `version` |") == 2
 
 
-def test_the_command_lists_the_formats_and_refuses_others(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["schema"]) == 0
-    shown = capsys.readouterr().out
-    assert all(f"{name} " in shown for name in SCHEMAS)
-    assert main(["schema", "plna"]) == 2
-    assert "did you mean plan" in capsys.readouterr().err
+def test_the_command_lists_the_formats_and_refuses_others() -> None:
+    listed = output_of("schema")
+    assert all(f"{name} " in listed for name in SCHEMAS)
+    assert "did you mean plan" in error_of("schema", "plna")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of
 
-from momapos.apps.cli.main import main
 from momapos.apps.cli.view import kind_of, scenes_in, source_in
 from momapos.apps.web.opened import Opened, RunStory, quantity_text
 from momapos.apps.web.static import page_of
@@ -108,9 +108,7 @@ def test_the_page_offers_the_scene_files_of_the_working_folder_and_no_links(tmp_
     assert scenes_in(here) == ("room.json",)
 
 
-def test_an_unusable_record_is_reported_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unusable_record_is_reported_in_one_line(tmp_path: Path) -> None:
     write_run(replace(RECORD, motion=None), tmp_path / "old.json")
     write_run(replace(RECORD, plan="gone.json"), tmp_path / "run.json")
     (tmp_path / "no_scan").mkdir()
@@ -119,10 +117,7 @@ def test_an_unusable_record_is_reported_in_one_line(
         ("run.json", "gone.json"),
         ("no_scan", "not a scan"),
     ):
-        assert main(["view", str(tmp_path / name), "--port", "0"]) == 2
-        shown = capsys.readouterr().err
-        assert words in shown
-        assert shown.count("\n") == 1
+        assert words in error_of("view", str(tmp_path / name), "--port", "0")
 
 
 def test_a_solve_folder_is_shown_by_its_run_or_else_by_its_plan(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.apps.web.pages import serve
+from tests.commands import error_of
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view import opened_source
@@ -106,9 +107,7 @@ def test_a_tour_is_written_as_one_page(file: Path, tmp_path: Path) -> None:
     assert "__VISER_EMBED_DATA__" in page.read_text()
 
 
-def test_an_unusable_tour_is_reported_in_one_line(
-    file: Path, tour: Opened, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unusable_tour_is_reported_in_one_line(file: Path, tour: Opened) -> None:
     content = json.loads(file.read_text())
     cases = {
         "unsolved.json": ({**content, "status": "infeasible"}, "there is nothing to show"),
@@ -118,10 +117,7 @@ def test_an_unusable_tour_is_reported_in_one_line(
     for name, (held, words) in cases.items():
         path = file.with_name(name)
         path.write_text(json.dumps(held))
-        assert main(["view", str(path), "--port", "0"]) == 2
-        shown = capsys.readouterr().err
-        assert words in shown
-        assert shown.count("\n") == 1
+        assert words in error_of("view", str(path), "--port", "0")
     assert len(read_tour(file).steps) == 3
     other = replace(tour.then[0], plan=replace(tour.then[0].plan, joints=("another",)))
     with pytest.raises(InputError, match="plan 2 of the tour is for another robot"):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from tests.commands import output_of
 from tests.urdf_parts import mobile_manipulator
 
-from momapos.apps.cli.main import main
 from momapos.core.geometry import contains
 from momapos.core.units import GRAVITY
 from momapos.model.kinematics.statics import BASE
@@ -175,7 +175,7 @@ def test_a_base_without_mass_or_out_of_balance_has_no_stability(tmp_path: Path) 
 
 @pytest.mark.parametrize("mass", ["", '<inertial><mass value="-3"/></inertial>'])
 def test_links_without_a_mass_and_joints_without_an_effort_are_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], mass: str
+    tmp_path: Path, mass: str
 ) -> None:
     inertial = '<inertial><mass value="2"/></inertial>'
     text = re.sub(r'(<link name="[^"]*">)', rf"\1{inertial}", mobile_manipulator())
@@ -186,6 +186,5 @@ def test_links_without_a_mass_and_joints_without_an_effort_are_named(
     notes = robot_loads(load_robot(write_robot(path)[0])).notes
     assert "no mass is known for arm_1: what they weigh does not count" in notes
     assert "no effort limit is known for j2" in notes
-    assert main(["robot", "show", str(tmp_path / "robot.toml")]) == 0
-    said = capsys.readouterr().out
-    assert all(f"  loads     {note}\n" in said for note in notes)
+    shown = output_of("robot", "show", str(tmp_path / "robot.toml"))
+    assert all(f"  loads     {note}\n" in shown for note in notes)

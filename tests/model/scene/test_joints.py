@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of, json_of
 from tests.rooms import Everywhere, cabinet_room
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
 from momapos.model.plan_files.plan_format import plan_to_dict, read_plan, write_plan
 from momapos.model.robots.robot import Robot
@@ -47,19 +47,20 @@ def test_a_set_joint_has_its_value_and_is_recorded(kitchen: Scene) -> None:
     ],
 )
 def test_an_invalid_joint_value_is_refused_in_one_line(
-    text: str, words: str, capsys: pytest.CaptureFixture[str], kitchen: Scene
+    text: str, words: str, kitchen: Scene
 ) -> None:
     with pytest.raises(MomaposError, match=words):
         set_joints(kitchen, [text])
     for command in (["scene", "show", "kitchen_small"], ["rank", "kitchen_small", "fridge"]):
-        assert main([*command, "--joint", text]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
+        error_of(*command, "--joint", text)
 
 
-def test_a_scene_is_shown_with_its_doors_open(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_is_shown_with_its_doors_open() -> None:
     words = ["--joint", "fridge/door_hinge=60deg", "--joint", "cabinet_left/drawer_slide=10cm"]
-    assert main(["scene", "show", "kitchen_small", *words, "--json"]) == 0
-    objects = {item["name"]: item for item in json.loads(capsys.readouterr().out)["objects"]}
+    objects = {
+        item["name"]: item
+        for item in json_of("scene", "show", "kitchen_small", *words, "--json")["objects"]
+    }
     at = {joint["name"]: joint["value"] for joint in objects["fridge"]["joints"]}
     assert at["door_hinge"] == pytest.approx(np.pi / 3)
 

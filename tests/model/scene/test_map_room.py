@@ -10,6 +10,7 @@ import pytest
 from jaxtyping import Bool, Float
 from numpy.testing import assert_allclose
 from PIL import Image
+from tests.commands import error_of
 
 from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
@@ -167,16 +168,11 @@ def test_a_map_alone_is_a_scene_and_converts_to_one(tmp_path: Path) -> None:
     assert len(saved.objects) == len(scene.objects)
 
 
-def test_the_command_refuses_a_map_without_image_with_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_a_map_without_image_with_status_2(tmp_path: Path) -> None:
     path = write_map(tmp_path, apartment())
     (tmp_path / "map.png").unlink()
     for scene in (path, furnished(tmp_path, objects="")):
-        assert main(["scene", "show", str(scene)]) == 2
-        error = capsys.readouterr().err
-        assert "'map.png' does not exist" in error
-        assert len(error.strip().splitlines()) == 1
+        assert "'map.png' does not exist" in error_of("scene", "show", str(scene))
 
 
 @pytest.mark.parametrize("name", ["../map.yaml", "/etc/passwd", "gone.yaml", "map\x00.yaml", 7])

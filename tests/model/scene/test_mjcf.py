@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks.mjcf_support import Truth, compare
 from numpy.testing import assert_allclose
+from tests.commands import error_of, json_of, output_of
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, MomaposError, SceneError, UnknownNameError
 from momapos.model.scene.formats import mjcf_files
 from momapos.model.scene.formats.imported_room import ImportedRoom
@@ -169,18 +168,15 @@ def test_model_prefixes_of_part_names_are_removed(tmp_path: Path) -> None:
     assert item.model.urdf.links["door"].collisions[0].name == "door_handle"
 
 
-def test_the_command_reports_the_conversion(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_reports_the_conversion(tmp_path: Path) -> None:
     path, out = write(tmp_path), tmp_path / "out.json"
-    assert main(["scene", "convert", str(path), str(out), "--without", "arm", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    printed = json_of("scene", "convert", str(path), str(out), "--without", "arm", "--json")
     assert printed["report"]["dropped"]["tendons"] == 1
     assert printed["report"]["kept"]["objects"] == len(load_scene(out).objects) == 5
-    assert main(["scene", "convert", str(path), str(tmp_path / "two.json")]) == 0
-    assert "2 floors, 1 objects without collision shapes" in capsys.readouterr().out
-    assert main(["scene", "show", str(path)]) == 2
-    assert "is in the format MJCF; convert it first" in capsys.readouterr().err
+    assert "2 floors, 1 objects without collision shapes" in output_of(
+        "scene", "convert", str(path), str(tmp_path / "two.json")
+    )
+    assert "is in the format MJCF; convert it first" in error_of("scene", "show", str(path))
 
 
 def test_a_missing_object_cannot_be_left_out(tmp_path: Path) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.commands import json_of
 
 from momapos.apps.cli.main import main
 from momapos.apps.export.ros2 import write_scene
@@ -144,12 +144,11 @@ def test_a_kitchen_round_trips_with_all_its_hulls(name: str, tmp_path: Path) -> 
         assert_allclose(b, a, atol=1e-6)
 
 
-def test_the_command_converts_both_ways(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_both_ways(tmp_path: Path) -> None:
     there, back = tmp_path / "room.scene", tmp_path / "room.json"
     assert main(["scene", "convert", "kitchen_small", str(there)]) == 0
     assert kind_of_file(there) == "MoveIt"
-    assert main(["scene", "convert", str(there), str(back), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out.partition("objects\n")[2])
+    printed = json_of("scene", "convert", str(there), str(back), "--json")
     assert printed["report"]["kept"]["objects"] == len(load_scene(back).objects)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from tests import optional
+from tests.commands import error_of, output_of
 from tests.real import DATA
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import MomaposError
 from momapos.model.scene.formats.imported_room import ImportReport
 from momapos.model.scene.formats.importing import write_room
@@ -161,14 +161,14 @@ def test_unknown_frames_are_reported_once(tmp_path: Path) -> None:
     ]
 
 
-def test_the_command_converts_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_them(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text("---\n" + SCENE)
     assert kind_of_file(path) == "MoveIt message"
-    assert main(["scene", "show", str(path)]) == 2
-    assert "momapos scene convert" in capsys.readouterr().err
-    assert main(["scene", "convert", str(path), str(tmp_path / "room.json")]) == 0
-    assert "5 collision shapes" in capsys.readouterr().out
+    assert "momapos scene convert" in error_of("scene", "show", str(path))
+    assert "5 collision shapes" in output_of(
+        "scene", "convert", str(path), str(tmp_path / "room.json")
+    )
 
 
 BAD = {

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.commands import error_of
 from tests.cupboards import DOOR, FOLLOWERS, HINGE, carcass, furniture_room
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError, MomaposError, UrdfError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
 from momapos.model.records.plans import JointResistance, PlacementPlan, Task
@@ -65,15 +65,14 @@ def test_a_scene_without_known_resistances_is_saved_as_before(tmp_path: Path) ->
     ],
 )
 def test_unusable_resistances_are_refused_in_one_line_that_names_the_object(
-    tmp_path: Path, resistance: Any, message: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, resistance: Any, message: str
 ) -> None:
     path = written(tmp_path, resistance)
     with pytest.raises(MomaposError) as error:
         load_scene(path)
     assert message in str(error.value)
     assert "cupboard" in str(error.value)
-    assert main(["scene", "show", str(path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    error_of("scene", "show", str(path))
 
 
 def test_the_resistance_of_a_follower_is_that_of_its_leader(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from tests.commands import output_of
 from tests.model.scene.cabinet import assert_moves_alike, assert_refused, expected
 
-from momapos.apps.cli.main import main
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.kinds import kind_of_file
 from momapos.model.scene.formats.sdf import read_room
@@ -172,11 +172,12 @@ def test_older_files_can_define_axes_in_the_model_frame(tmp_path: Path) -> None:
     assert_allclose(slid[0], slid[1], atol=1e-12)
 
 
-def test_the_command_converts_a_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_a_world(tmp_path: Path) -> None:
     path, out = write(tmp_path), tmp_path / "out.json"
     assert kind_of_file(path) == "SDF"
-    assert main(["scene", "convert", str(path), str(out), "--without", "wall"]) == 0
-    assert "1 objects, as requested" in capsys.readouterr().out
+    assert "1 objects, as requested" in output_of(
+        "scene", "convert", str(path), str(out), "--without", "wall"
+    )
     assert {item.name for item in load_scene(out).objects} == {"cabinet", "my_cup"}
 
 

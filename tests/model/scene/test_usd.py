@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from tests import optional
+from tests.commands import output_of
 from tests.model.scene.cabinet import assert_moves_alike, assert_refused, expected
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, MissingExtraError
 from momapos.model.scene.formats.importing import write_room
 from momapos.model.scene.formats.kinds import kind_of_file
@@ -155,11 +155,12 @@ def test_drives_and_materials_are_counted(tmp_path: Path) -> None:
     assert report.dropped["materials"] == 1
 
 
-def test_the_command_converts_a_stage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_converts_a_stage(tmp_path: Path) -> None:
     path = write(tmp_path)
     assert kind_of_file(path) == "USD"
-    assert main(["scene", "convert", str(path), str(tmp_path / "out.json")]) == 0
-    assert "1 hinges, 1 slides" in capsys.readouterr().out
+    assert "1 hinges, 1 slides" in output_of(
+        "scene", "convert", str(path), str(tmp_path / "out.json")
+    )
 
 
 ONE = '#usda 1.0\ndef {} "a" (prepend apiSchemas = ["PhysicsCollisionAPI"]) {{\n{}\n}}\n'

@@ -11,8 +11,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from tests.commands import error_of, output_of
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, UnknownNameError
 from momapos.perception.detection import detector_models as models
 from momapos.perception.detection.detector_models import (
@@ -115,21 +115,17 @@ def test_an_error_about_a_missing_model_says_how_to_get_it(tmp_path: Path) -> No
     ],
 )
 def test_a_failed_download_is_reported_in_one_line(
-    words: list[str], hint: str, tmp_path: Path, monkeypatch, capsys
+    words: list[str], hint: str, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
-    assert main(["models", "get", *words]) == 2
-    shown = capsys.readouterr()
-    assert hint in shown.err
-    assert shown.err.count("\n") == 1
+    assert hint in error_of("models", "get", *words)
     assert files(tmp_path) == []
 
 
-def test_the_list_names_available_and_cached_models(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_the_list_names_available_and_cached_models(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path))
     (tmp_path / "models").mkdir()
     (tmp_path / "models" / "own.onnx").write_bytes(CONTENT)
-    assert main(["models", "list"]) == 0
-    shown = capsys.readouterr().out
+    shown = output_of("models", "list")
     assert "momapos models get yolox_nano" in shown
     assert str(tmp_path / "models" / "own.onnx") in shown

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tests.commands import error_of
 from tests.perception.recordings.recorded import K, shots, write_export, write_open3d, write_tum
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError
 from momapos.perception.recordings.image_folders import poses_at
 from momapos.perception.recordings.scan_reader import read_scan
@@ -123,12 +123,11 @@ OPEN3D = [
     [(write_tum, *case) for case in TUM] + [(write_open3d, *case) for case in OPEN3D],
 )
 def test_an_unusable_folder_is_refused_in_one_line(
-    write, file: str, text: str | None, message: str, tmp_path: Path, capsys
+    write, file: str, text: str | None, message: str, tmp_path: Path
 ) -> None:
     folder = write(tmp_path / "walk", shots(2))
     spoilt(folder, file, text)
     with pytest.raises(FileFormatError, match=message):
         read_scan(folder)
-    assert main(["scan", str(folder), "--out", str(tmp_path / "scene.json")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    error_of("scan", str(folder), "--out", str(tmp_path / "scene.json"))
     assert not (tmp_path / "scene.json").exists()

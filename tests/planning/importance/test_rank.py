@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import subprocess
 import sys
@@ -13,12 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.commands import json_of
 from tests.planning.importance.things import box, room
 from tests.rooms import move_scene
 from tests.shapes import unchecked
 
 import momapos
-from momapos.apps.cli.main import main
 from momapos.core.errors import InputError, UnknownNameError
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
@@ -275,12 +274,11 @@ def test_an_object_matters_more_the_larger_and_the_nearer_to_the_hand_s_path_it_
 )  # fmt: skip
 @pytest.mark.parametrize("scorer", ["reach", "size"])
 def test_python_and_the_command_line_give_the_same_scores(
-    name: str, target: str, joint: str | None, scorer: ScorerName,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    name: str, target: str, joint: str | None, scorer: ScorerName
+) -> None:
     words = ["rank", name, target if joint is None else f"{target}/{joint}", "--json"]
-    assert main([*words, "--scorer", scorer] if scorer != "reach" else words) == 0
-    printed = {one["name"]: one["score"] for one in json.loads(capsys.readouterr().out)["objects"]}
+    words += ["--scorer", scorer] if scorer != "reach" else []
+    printed = {one["name"]: one["score"] for one in json_of(*words)["objects"]}
     config = ImportanceConfig(scorer=scorer) if scorer != "reach" else None
     assert momapos.rank(load_scene(name), target, config, joint=joint).by_name == printed
 

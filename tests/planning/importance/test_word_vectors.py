@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.commands import error_of, output_of
 from tests.planning.importance.things import box, room
 
-from momapos.apps.cli.main import main
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.scene.scene import Scene
 from momapos.planning.importance.config import ImportanceConfig
@@ -67,16 +67,11 @@ def test_a_fifo_is_refused_without_waiting(tmp_path: Path) -> None:
         read_word_vectors(tmp_path / "fifo", {"fridge"})
 
 
-def test_rank_reads_vectors_from_a_setting(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_rank_reads_vectors_from_a_setting(tmp_path: Path) -> None:
     path = tmp_path / "vectors.txt"
     path.write_text(GLOVE)
     command = ["rank", "kitchen_small", "fridge", "--set", f"importance.vectors={path}"]
-    assert main([*command, "--scorer", "names"]) == 0
-    assert "cup" in capsys.readouterr().out
-    assert main(command) == 2
-    assert "importance.vectors needs the scorer names" in capsys.readouterr().err
+    assert "cup" in output_of(*command, "--scorer", "names")
+    assert "importance.vectors needs the scorer names" in error_of(*command)
     missing = f"importance.vectors={tmp_path / 'none.txt'}"
-    assert main([*command[:-1], missing, "--scorer", "names"]) == 2
-    assert "none.txt: no such file" in capsys.readouterr().err
+    assert "none.txt: no such file" in error_of(*command[:-1], missing, "--scorer", "names")
