@@ -39,8 +39,7 @@ from websockets.typing import Origin, Subprotocol
 from hostile import CAMERA, hostile_frame
 from momapos.apps.web import OpenedScan, served
 from momapos.apps.web.answer_view import READY
-from momapos.apps.web.follow import DRAG_TIME_LIMIT
-from momapos.apps.web.page import Page
+from momapos.apps.web.page import DRAG_TIME_LIMIT, Page
 from momapos.apps.web.panel import POINTS
 from momapos.apps.web.playback import FRAME_GAPS, SLOW_FRAME_TIME
 from momapos.apps.web.probe import Probe

@@ -10,10 +10,8 @@ import pytest
 from tests.commands import error_of
 
 from momapos.apps.bench import job as answer
-from momapos.apps.bench import scanned_rooms as scans
 from momapos.apps.bench.bench_records import Job, Settings, SuiteTask
-from momapos.apps.bench.job import NOT_SEEN, answer_job
-from momapos.apps.bench.scanned_rooms import ScannedRoom, scanned_room
+from momapos.apps.bench.job import NOT_SEEN, ScannedRoom, answer_job, scanned_room
 from momapos.core.errors import InputError
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
@@ -37,7 +35,7 @@ def room(folder: Path) -> ScannedRoom:
 def test_a_room_is_scanned_once(
     room: ScannedRoom, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(scans, "synthetic_scan")
+    monkeypatch.delattr(answer, "synthetic_scan")
     again = scanned_room(folder, NAME, load_scene(NAME), FRAMES, 0)
     assert again.record == room.record
     assert [path.name for path in (folder / "scans").iterdir()] == [NAME]
@@ -51,14 +49,14 @@ def test_an_incomplete_scan_is_not_used(
 
     incomplete = tmp_path / "scans" / NAME
     incomplete.mkdir(parents=True)
-    (incomplete / scans.SCENE).write_text("{}")
-    monkeypatch.setattr(scans, "_modeled", full)
+    (incomplete / answer.SCENE).write_text("{}")
+    monkeypatch.setattr(answer, "_modeled", full)
     with pytest.raises(InputError, match=r"scans/kitchen_small: cannot be written \(No space"):
         scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0)
     assert [path.name for path in (tmp_path / "scans").iterdir()] == [NAME]
-    assert not (incomplete / scans.RECORD).exists()
-    monkeypatch.setattr(scans, "_modeled", lambda *_: room.record)
-    monkeypatch.setattr(scans, "load_scene", lambda *_, **__: room.scene)
+    assert not (incomplete / answer.RECORD).exists()
+    monkeypatch.setattr(answer, "_modeled", lambda *_: room.record)
+    monkeypatch.setattr(answer, "load_scene", lambda *_, **__: room.scene)
     assert scanned_room(tmp_path, NAME, load_scene(NAME), 1, 0).record == room.record
 
 

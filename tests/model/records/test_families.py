@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from momapos.model.records.families import FAMILIES, Family
-from momapos.model.records.plans import Hold
+from momapos.model.records.plans import FAMILIES, Family, Hold
 from momapos.model.robots.robot import Grip
 from momapos.planning.grasps.config import GraspConfig
 

@@ -10,8 +10,7 @@ import pytest
 
 from momapos.core.file_records import keys_of
 from momapos.model.scene.scene_files import load_scene, save_scene
-from momapos.model.scene.scene_keys import MAX_IGNORED_KEYS, ignored_keys
-from momapos.model.scene.scene_members import SceneFile
+from momapos.model.scene.scene_members import MAX_IGNORED_KEYS, SceneFile, ignored_keys
 
 SCENE_KEYS = keys_of(SceneFile)
 

@@ -13,8 +13,7 @@ from tests.commands import error_of
 from tests.perception.recordings.recorded import K, shots, write_export, write_open3d, write_tum
 
 from momapos.core.errors import FileFormatError
-from momapos.perception.recordings.image_folders import poses_at
-from momapos.perception.recordings.scan_reader import read_scan
+from momapos.perception.recordings.scan_reader import poses_at, read_scan
 
 
 @pytest.mark.parametrize("write", [write_tum, write_open3d], ids=["TUM", "Open3D"])

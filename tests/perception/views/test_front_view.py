@@ -16,9 +16,9 @@ from momapos.perception.views.front_view import (
     choose_view,
     door_evidence,
     front_evidence,
+    split_row,
 )
 from momapos.perception.views.placed_parts import most_confident, observations, transferred
-from momapos.perception.views.rows import split_row
 
 FRONT = 2
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tests.rooms import cabinet_room
 
-from momapos.model.records.families import Family
+from momapos.model.records.plans import Family
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.joint_resistance import resistance_along
 from momapos.model.scene.resistance_config import ResistanceConfig

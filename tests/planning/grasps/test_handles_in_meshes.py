@@ -10,7 +10,7 @@ import pytest
 import tests.meshes as given
 from tests.rooms import cabinet_room
 
-from momapos.model.records.families import FAMILIES, Family
+from momapos.model.records.plans import FAMILIES, Family
 from momapos.model.robots.hand_openings import opened_to
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene

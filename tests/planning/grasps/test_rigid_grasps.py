@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from momapos.core.geometry.transforms import invert, pose
-from momapos.model.records.families import Family
+from momapos.model.records.plans import Family
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.resistance_config import ResistanceConfig
 from momapos.model.scene.scene import Scene

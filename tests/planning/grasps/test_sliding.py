@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from momapos.model.records.families import FAMILIES, Family
-from momapos.model.records.plans import JointResistance, Motion
+from momapos.model.records.plans import FAMILIES, Family, JointResistance, Motion
 from momapos.model.robots.robot import Grip, Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.urdf.articulated import Articulated

@@ -2,9 +2,9 @@ from .episodes import CAMERAS as CAMERAS
 from .episodes import Camera as Camera
 from .episodes import Episode as Episode
 from .episodes import episode_of as episode_of
+from .episodes import write_hdf5 as write_hdf5
 from .lerobot import write_lerobot as write_lerobot
 from .mcap_recording import write_recording as write_recording
-from .robomimic import write_hdf5 as write_hdf5
 from .ros2 import carries_object as carries_object
 from .ros2 import write_attached as write_attached
 from .ros2 import write_ros2 as write_ros2

@@ -17,7 +17,6 @@ from momapos.core.geometry import invert, pose, signed_area
 from momapos.model.records import Frame
 from momapos.model.scene import Scene, SceneObject
 
-from .materials import Material, Palette, Role, linear
 from .rasterizer import (
     CREVICE_RAYS,
     Appearance,
@@ -28,7 +27,7 @@ from .rasterizer import (
     rasterize,
     shade_image,
 )
-from .surfaces import SurfacePatch, patches, urdf_paints
+from .surfaces import Material, Palette, Role, SurfacePatch, linear, patches, urdf_paints
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, UInt8

@@ -1,5 +1,3 @@
-from .families import FAMILIES as FAMILIES
-from .families import Family as Family
 from .outcomes import NO_PATH as NO_PATH
 from .outcomes import NO_STAND as NO_STAND
 from .outcomes import RULED_OUT as RULED_OUT
@@ -10,6 +8,7 @@ from .outcomes import PoseStatus as PoseStatus
 from .outcomes import Tolerance as Tolerance
 from .outcomes import is_text_of as is_text_of
 from .plans import ANYWHERE as ANYWHERE
+from .plans import FAMILIES as FAMILIES
 from .plans import MAX_EFFORT_SHARE as MAX_EFFORT_SHARE
 from .plans import MIN_STABILITY as MIN_STABILITY
 from .plans import MOVING_PULL as MOVING_PULL
@@ -19,6 +18,7 @@ from .plans import Assumption as Assumption
 from .plans import Attempt as Attempt
 from .plans import BaseRegion as BaseRegion
 from .plans import Candidates as Candidates
+from .plans import Family as Family
 from .plans import Hold as Hold
 from .plans import JointResistance as JointResistance
 from .plans import KeyObjects as KeyObjects

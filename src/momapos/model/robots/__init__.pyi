@@ -19,7 +19,7 @@ from .robot import Grip as Grip
 from .robot import Robot as Robot
 from .robot import load_arms as load_arms
 from .robot import load_robot as load_robot
-from .robot_members import RobotFile as RobotFile
+from .robot_file import RobotFile as RobotFile
 from .robot_names import LIBRARY as LIBRARY
 from .robot_names import MAP_JOINTS as MAP_JOINTS
 from .robot_names import find_named_robot as find_named_robot

@@ -32,6 +32,9 @@ from momapos.model.urdf import Articulated, Boxes
 
 from .gripper_guess import FINGER, HAND
 from .robot_file import (
+    ANY,
+    Drive,
+    RobotTool,
     amendments_of,
     at_rest,
     choose_arms,
@@ -39,7 +42,6 @@ from .robot_file import (
     read_robot_file,
     srdf_of,
 )
-from .robot_members import ANY, Drive, RobotTool
 from .robot_names import find_robot, library_file
 from .srdf import read_srdf
 

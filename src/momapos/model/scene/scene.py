@@ -28,8 +28,7 @@ from momapos.core.geometry import signed_area
 from momapos.model.records import NO_OVERRIDES, JointResistance, Outline, Overrides
 from momapos.model.urdf import Joint
 
-from .scene_keys import IgnoredKey
-from .scene_members import Corners
+from .scene_members import Corners, IgnoredKey
 from .scene_object import MAX_MASS, SceneObject, Wall, wall_name, walls_around
 
 if TYPE_CHECKING:

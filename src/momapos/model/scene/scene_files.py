@@ -51,8 +51,7 @@ from .object_reader import (
     usual_edge,
 )
 from .scene import Scene, checked_outline
-from .scene_keys import BESTMAN_KEYS, ignored_keys, place_of
-from .scene_members import MAX_OBJECTS, SceneFile, SceneWall
+from .scene_members import BESTMAN_KEYS, MAX_OBJECTS, SceneFile, SceneWall, ignored_keys, place_of
 from .scene_names import FORMAT, MAX_BYTES, find_scene
 from .scene_object import (
     SceneObject,

@@ -7,9 +7,9 @@ from .front_view import KnownFront as KnownFront
 from .front_view import ViewMethod as ViewMethod
 from .front_view import choose_view as choose_view
 from .front_view import handle_evidence as handle_evidence
+from .front_view import split_row as split_row
 from .part_evidence import parts_with_evidence as parts_with_evidence
 from .placed_parts import adjacent_parts as adjacent_parts
 from .placed_parts import area as area
 from .placed_parts import corners as corners
 from .placed_parts import observations as observations
-from .rows import split_row as split_row
