@@ -59,6 +59,7 @@ from .files import remove_if_incomplete as remove_if_incomplete
 from .files import resolved as resolved
 from .files import temporary_folder as temporary_folder
 from .files import write_atomic as write_atomic
+from .files import write_file as write_file
 from .forking import fork_safe_lock as fork_safe_lock
 from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array

@@ -236,6 +236,18 @@ def write_atomic(path: Path, data: bytes) -> None:
         temporary.replace(path)
 
 
+def write_file(path: Path, content: str | bytes, *, error: type[MomaposError] = InputError) -> None:
+    """Write a file atomically, creating its folder.
+
+    Raises:
+        MomaposError: As `error`: it cannot be written.
+    """
+    try:
+        write_atomic(path, content.encode() if isinstance(content, str) else content)
+    except OSError as reason:
+        raise error(f"{path}: cannot be written ({reason.strerror})") from reason
+
+
 @contextmanager
 def temporary_folder(parent: Path, name: str) -> Iterator[Path]:
     """Make a folder in another one, and remove it at the end.

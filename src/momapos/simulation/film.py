@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import mujoco
 import numpy as np
 
-from momapos.core import InputError, require, write_atomic
+from momapos.core import InputError, require, write_file
 
 from .config import Stage
 from .geoms import ROBOT, Kind
@@ -571,10 +571,7 @@ def write_film(
     else:
         rate = FRAME_RATES[kind]
         film = encode_film(_film(trace, rate, MAX_IMAGES[kind], ending, title), kind, rate)
-    try:
-        write_atomic(path, film)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_file(path, film)
 
 
 @dataclass(frozen=True, eq=False)

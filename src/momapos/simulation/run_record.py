@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from momapos.core import FileFormatError, InputError, read_bytes_bounded, resolved, write_atomic
+from momapos.core import FileFormatError, InputError, read_bytes_bounded, resolved, write_file
 from momapos.model.records import Task
 
 if TYPE_CHECKING:
@@ -350,10 +350,7 @@ def write_run(record: RunRecord, path: Path) -> None:
         text = json.dumps(run_to_dict(record), allow_nan=False) + "\n"
     except ValueError as error:
         raise InputError(f"{path}: not written, the record contains NaN or infinity") from error
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_file(path, text)
 
 
 def with_files(

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from momapos.core import write_file
 from momapos.model.records import Scan
-from momapos.model.scene import load_scene, write_text_atomic
+from momapos.model.scene import load_scene
 from momapos.perception import Decision, Modeled
 
 FORMAT, VERSION = "momapos-scan-report", 1
@@ -86,7 +87,7 @@ def write_report(
     Returns:
         The folder of the images; None without images.
     """
-    write_text_atomic(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    write_file(out.parent / NAME, json.dumps(data, indent=1, allow_nan=False) + "\n")
     if not pictures:
         return None
     from momapos.apps.plots import draw_modeled, draw_overviews

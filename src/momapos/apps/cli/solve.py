@@ -98,7 +98,7 @@ def solve(
     """
     from json import dumps
 
-    from momapos.model.scene import write_text_atomic
+    from momapos.core import write_file
 
     if options.to is not None and options.to != MAX:
         parse_quantity(options.to)
@@ -107,7 +107,7 @@ def solve(
     config = options.read_config()
     answer, record = _solve(source, verb, target, out, options, config)
     data = _to_dict(answer, record, options)
-    write_text_atomic(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
+    write_file(out / RECORD, dumps(data, indent=1, allow_nan=False) + "\n")
     say(dumps(data, allow_nan=False) if options.json else _summary(answer, record, data, out))
     if record is not None and not record.success:
         return 1

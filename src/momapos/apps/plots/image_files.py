@@ -40,13 +40,10 @@ def save_figure(figure: Figure, path: Path, *, dpi: float) -> None:
     Raises:
         InputError: The format is not supported, or the file cannot be written.
     """
-    from momapos.core import write_atomic  # imports numpy, which would slow down every command
+    from momapos.core import write_file  # imports numpy, which would slow down every command
 
     check_figure_path(path)
     kind = path.suffix.lower()
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind[1:], dpi=dpi, metadata=FORMATS[kind])
-    try:
-        write_atomic(path, buffer.getvalue())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_file(path, buffer.getvalue())

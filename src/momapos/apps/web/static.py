@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError, escape_html, write_atomic
+from momapos.core import InputError, escape_html, write_file
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
@@ -164,10 +164,7 @@ def write_page(
     """
     check_page(path)
     content = page_of(scene, robot, plan, story, active, card)
-    try:
-        write_atomic(path, content.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_file(path, content)
 
 
 def page_of(

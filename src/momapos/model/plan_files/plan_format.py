@@ -22,7 +22,7 @@ from momapos.core import (
     read_bytes_bounded,
     read_text_bounded,
     resolved,
-    write_atomic,
+    write_file,
 )
 from momapos.model.records import (
     Assumption,
@@ -226,18 +226,6 @@ MAX_PARENTS = 3
 """Files in up to this many folders above the plan get relative names [-]."""
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
-
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal digits."""
     return sha256_of(read_bytes_bounded(path, MAX_HASHED_BYTES, error=InputError))
@@ -395,11 +383,11 @@ def write_plan(plan: PlacementPlan, path: str | Path) -> None:
     except ValueError as error:
         raise InputError(f"{path}: not written; the plan contains NaN or infinity") from error
     if amended is not None:
-        write_text(amended, content)
+        write_file(amended, content)
         if plan.robot_srdf is not None:  # readers without the robot file look for it there
             srdf = read_text_bounded(Path(plan.robot_srdf), MAX_SRDF_BYTES, error=InputError)
-            write_text(amended.with_suffix(".srdf"), srdf)
-    write_text(path, f"{text}\n")
+            write_file(amended.with_suffix(".srdf"), srdf)
+    write_file(path, f"{text}\n")
 
 
 def format_of(path: Path) -> Any:

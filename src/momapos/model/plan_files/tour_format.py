@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import msgspec
 
-from momapos.core import FileFormatError, read_bytes_bounded
+from momapos.core import FileFormatError, read_bytes_bounded, write_file
 from momapos.model.records import PlacementPlan, Status, status_of_all
 
 from . import plan_members as members
-from .plan_format import MAX_BYTES, TOUR, format_of, write_plan, write_text
+from .plan_format import MAX_BYTES, TOUR, format_of, write_plan
 
 VERSION = 1
 MAX_STEPS = 20
@@ -81,7 +81,7 @@ def write_tour(
     for step, plan in zip(tour.steps, plans, strict=True):
         write_plan(plan, path.with_name(step.plan))
     data = tour_to_dict(tour, [step.plan for step in tour.steps])
-    write_text(path, json.dumps(data, indent=1) + "\n")
+    write_file(path, json.dumps(data, indent=1) + "\n")
     return tour
 
 

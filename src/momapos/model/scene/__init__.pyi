@@ -39,7 +39,6 @@ from .scene import joint_value as joint_value
 from .scene import set_joints as set_joints
 from .scene_files import load_scene as load_scene
 from .scene_files import save_scene as save_scene
-from .scene_files import write_text_atomic as write_text_atomic
 from .scene_members import IgnoredKey as IgnoredKey
 from .scene_members import SceneFile as SceneFile
 from .scene_names import builtin_names as builtin_names

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, resolved, write_atomic
+from momapos.core import SceneError, UrdfError, parse_xml, read_text_bounded, resolved, write_file
 from momapos.core.geometry import apply, invert, pose
 from momapos.model.records import Hypothesis, PartKind, PlacementPlan
 from momapos.model.urdf import (
@@ -207,10 +207,7 @@ def save_with_part_motion(
         item = near.object(name)
         assert item.model.urdf.path is not None
         file = item.model.urdf.path.with_name(f"{name}_{joint}.urdf")
-        try:
-            write_atomic(file, text.encode())
-        except OSError as error:
-            raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
+        write_file(file, text, error=SceneError)
         model = Articulated(
             read_furniture(file, root=resolved(out).parent, scale=item.model.urdf.scale),
             item.model.held,

@@ -32,7 +32,7 @@ from momapos.core import (
     read_text_bounded,
     resolved,
     unknown_name,
-    write_atomic,
+    write_file,
 )
 from momapos.model.records import JointResistance
 from momapos.model.urdf import Geometry, Mesh, Urdf
@@ -220,11 +220,7 @@ def _write(folder: Path, plain: str, suffix: str, text: str) -> Path:
     content = text.encode()
     digest = hashlib.sha256(content).hexdigest()[:_DIGEST_LENGTH]
     file = folder / f"{plain}_{digest}{suffix}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(file, content)
-    except OSError as error:
-        raise SceneError(f"{file}: cannot be written ({error.strerror})") from error
+    write_file(file, content, error=SceneError)
     return file
 
 
@@ -400,7 +396,7 @@ def save_scene(scene: Scene, path: str | Path) -> Scene:
         members["walls"] = walls_to_json(scene.walls, scene.floor_polygon)
     for key, value in members.items():
         text += f',\n "{key}": {json.dumps(value)}'
-    write_text_atomic(path, f'{text},\n "objects": [\n{objects}\n ]}}\n')
+    write_file(path, f'{text},\n "objects": [\n{objects}\n ]}}\n', error=SceneError)
     return replace(scene, path=path)
 
 
@@ -434,18 +430,6 @@ def object_members(item: SceneObject) -> dict[str, Any]:
             name: hypotheses_to_json(rows) for name, rows in item.hypotheses.items()
         }
     return members
-
-
-def write_text_atomic(path: Path, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        SceneError: The file cannot be written.
-    """
-    try:
-        write_atomic(path, text.encode())
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def _object(item: SceneObject, path: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from momapos.core import FileFormatError, InputError, open_regular, write_atomic
+from momapos.core import FileFormatError, open_regular, write_file
 from momapos.core.geometry import point_spacing
 from momapos.model.records import Cloud
 
@@ -129,10 +129,7 @@ def write_cloud(cloud: Cloud, path: Path) -> None:
     properties += [f"property uchar {name}" for name in COLORS]
     count = f"element vertex {len(rows)}"
     head = ["ply", "format binary_little_endian 1.0", count, *properties, "end_header"]
-    try:
-        write_atomic(path, "\n".join(head).encode() + b"\n" + rows.tobytes())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from error
+    write_file(path, "\n".join(head).encode() + b"\n" + rows.tobytes())
 
 
 def _read(path: Path) -> tuple[Columns, Int[np.ndarray, "m 3"] | None]:

@@ -23,7 +23,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from momapos.core import MomaposError, SceneError, incomplete, temporary_folder
+from momapos.core import MomaposError, SceneError, incomplete, temporary_folder, write_file
 from momapos.model.scene.bestman import category_of
 from momapos.model.scene.model_copies import files_folder
 from momapos.model.scene.scene import Scene
@@ -32,7 +32,6 @@ from momapos.model.scene.scene_files import (
     load_scene,
     object_members,
     room_members,
-    write_text_atomic,
 )
 from momapos.model.scene.scene_names import FORMAT
 from momapos.model.scene.scene_object import SceneObject
@@ -145,7 +144,7 @@ def write_mjcf(scene: Scene, path: Path) -> None:
     for item in scene.objects:
         writer.add(item)
     writer.finish(room_members(scene))
-    write_text_atomic(path, f"{tostring(writer.tree, encoding='unicode')}\n")
+    write_file(path, f"{tostring(writer.tree, encoding='unicode')}\n", error=SceneError)
 
 
 class _Writer:
