@@ -18,6 +18,8 @@ from .arguments import UNIONS, shown, type_words
 from .errors import FileFormatError, InputError, MomaposError
 
 Record = TypeVar("Record")
+REFUSALS = (msgspec.ValidationError, InputError, UnicodeEncodeError)
+"""Errors of converting unusable values; the last one is of half a character."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def read_record(
     """
     try:
         return msgspec.convert(data, record)
-    except (msgspec.ValidationError, InputError):
+    except REFUSALS:
         parents, words = _mistake(data, record, ())
     raise error(f"{place(parents)} {words}")
 
@@ -119,7 +121,7 @@ def _refusal(value: Any, kind: Any) -> Exception | None:
     """Return why a type refuses a value; None if it does not."""
     try:
         msgspec.convert(value, kind)
-    except (msgspec.ValidationError, InputError) as error:
+    except REFUSALS as error:
         return error
     return None
 

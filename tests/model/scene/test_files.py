@@ -382,3 +382,12 @@ def test_converting_with_copies_goes_on_after_a_kill(
     (tmp_path / "room.json").unlink()
     # A folder that is complete is the user's, also without its scene file.
     assert main(["scene", "convert", "kitchen_small", "room.json", "--copy"]) == 2
+
+
+def test_half_a_character_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "room.json"
+    path.write_text(
+        json.dumps({"format": "momapos-scene", "version": 1, "walls": "\ud800", "objects": []})
+    )
+    with pytest.raises(SceneError, match="walls must be"):
+        load_scene(path)
