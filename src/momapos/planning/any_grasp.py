@@ -123,10 +123,11 @@ def _has_other(query: PlacementQuery, other: PlacementQuery, motion: TaskMotion)
     """Return whether the hand is free in a grasp of another handle."""
     scene, robot, config = query.scene, query.robot, query.config
     passed = list(motion.grasps.handles)
-    if with_other_handle(motion, scene, robot, config.motion, passed) is None:
+    following = with_other_handle(motion, scene, robot, config.motion, passed)
+    if following is None:
         return False
     ready = prepare(
-        scene, robot, query.task, config,
+        scene, robot, query.task, config, motion=following,
         clearance=config.place.clearance, keep_grasps=other.keep_grasps, watch=query.watch,
     )  # fmt: skip
     return not ready.no_grasp

@@ -8,7 +8,7 @@ from tests.model.collision.exact_hulls import random_states
 from tests.model.kinematics import arms
 
 from momapos.core.geometry.transforms import invert, pose_planar, rotation_about
-from momapos.model.kinematics.base_fit import fit_bases, promising_bases
+from momapos.model.kinematics.base_fit import fit_bases, meets_somewhere
 from momapos.model.kinematics.chain import with_tool_turn
 from momapos.model.kinematics.closed_forms import THREE_PARALLEL
 from momapos.model.kinematics.ik import build_ik, solve_ik
@@ -91,13 +91,15 @@ def test_the_base_moves_no_farther_than_necessary() -> None:
     assert np.abs(moved - begin).max() < 0.03
 
 
-def test_promising_base_poses_put_the_tool_near_its_pose() -> None:
+def test_an_arm_meets_what_it_can_reach_wherever_it_is_and_nothing_else() -> None:
     ik, there = build_ik(CHAIN), np.array([0.7, -0.4, 2.1])
+    met = []
     for q in random_states(CHAIN, 20, np.random.default_rng(4)):
-        T = pose_planar(there) @ CHAIN.tool_poses(q[None])[0]
-        bases = promising_bases(ik, T, 24)
-        assert bases.shape == (24, 3)
-        moved, met = fit_bases(CHAIN, ik, bases, T[None])
-        assert met.mean() > 0.5
-        # Few of them have to move far.
-        assert np.median(np.abs(moved - bases)[met][:, :2]) < 0.1
+        Ts = pose_planar(there) @ CHAIN.tool_poses(q[None])
+        elsewhere = pose_planar(np.array([5.0, 3.0, -1.0])) @ Ts
+        met.append(meets_somewhere(CHAIN, ik, Ts, 24))
+        assert meets_somewhere(CHAIN, ik, elsewhere, 24) == met[-1]
+        raised = Ts.copy()
+        raised[:, 2, 3] += 5.0
+        assert not meets_somewhere(CHAIN, ik, np.concatenate([Ts, raised]), 24)
+    assert all(met)

@@ -1,5 +1,5 @@
 from .base_fit import fit_bases as fit_bases
-from .base_fit import promising_bases as promising_bases
+from .base_fit import meets_somewhere as meets_somewhere
 from .chain import ArmArrays as ArmArrays
 from .chain import ArmScratch as ArmScratch
 from .chain import BoxArrays as BoxArrays

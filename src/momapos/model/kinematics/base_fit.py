@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.compiled import B1, F2, F3, entry, kernel
-from momapos.core.geometry import rotation, wrap_angle
+from momapos.core.geometry import wrap_angle
 
 from .chain import ArmArrays, Chain, forward, stand_at_origin
 from .closed_forms import mul
@@ -23,7 +23,6 @@ from .ik import (
     ik_scratch,
     jacobian,
     nearest_seeds,
-    pose_features,
     rotation_error,
     solve_spd,
 )
@@ -59,23 +58,26 @@ def _target(base, T, R, p):
 def _equations(base, q, poses, arm, moves, scratch):
     """Fill the normal equations of all tool poses; return the squared residual.
 
+    The states of two poses have no equation in common, so that the equations consist of a block
+    of each pose, a block of the base, and the blocks between these.
+
     Args:
         base: x [m], y [m], yaw [rad].
         q: A state for each of the tool poses (w, n).
         poses: (w, 4, 4).
         arm: `ArmArrays`.
         moves: Whether the base moves, too.
-        scratch: `_scratch(arm, w)`.
+        scratch: `_fit_scratch(arm, w)`.
     """
-    newton, R_to, p_to, A, g, full = scratch
+    newton, R_to, p_to, A, B, S, g = scratch
     R, p, J, _, e, column = newton
     chain = arm.chain
-    n, last, size, residual = q.shape[1], len(chain.slides), len(g), 0.0
+    n, last, residual = q.shape[1], len(chain.slides), 0.0
     offset = (chain.tool_offset[0], chain.tool_offset[1], chain.tool_offset[2])
-    for a in range(size):
+    for a in range(3):
         g[a] = 0.0
-        for b in range(size):
-            A[a, b] = 0.0
+        for b in range(3):
+            S[a, b] = 0.0
     stand_at_origin(R, p)
     c, s = np.cos(base[2]), np.sin(base[2])
     for m in range(len(poses)):
@@ -89,22 +91,67 @@ def _equations(base, q, poses, arm, moves, scratch):
         jacobian(chain, R, p, tool, column, n, J)
         for r in range(6):
             residual += e[r] * e[r]
-            for a in range(size):
-                full[r, a] = 0.0
-            for k in range(n):
-                full[r, 3 + m * n + k] = J[r, k]
+        for a in range(n):
+            for b in range(a + 1):
+                A[m, a, b] = 0.0
+                for r in range(6):
+                    A[m, a, b] += J[r, a] * J[r, b]
+            B[m, a, 3] = 0.0
+            for r in range(6):
+                B[m, a, 3] += J[r, a] * e[r]
+            for k in range(3):
+                B[m, a, k] = 0.0
+            if moves:
+                B[m, a, 0] = c * J[0, a] - s * J[1, a]
+                B[m, a, 1] = s * J[0, a] + c * J[1, a]
+                B[m, a, 2] = tool[0] * J[1, a] - tool[1] * J[0, a] + J[5, a]
         if moves:
-            full[0, 0], full[1, 0] = c, -s
-            full[0, 1], full[1, 1] = s, c
-            full[0, 2], full[1, 2], full[5, 2] = -tool[1], tool[0], 1.0
-        for r in range(6):
-            for a in range(size):
-                if full[r, a] == 0.0:
-                    continue
-                g[a] += full[r, a] * e[r]
-                for b in range(a + 1):
-                    A[a, b] += full[r, a] * full[r, b]
+            x, y = s * tool[0] + c * tool[1], c * tool[0] - s * tool[1]
+            S[0, 0] += 1.0
+            S[1, 1] += 1.0
+            S[2, 2] += tool[0] * tool[0] + tool[1] * tool[1] + 1.0
+            S[2, 0] -= x
+            S[2, 1] += y
+            g[0] += c * e[0] - s * e[1]
+            g[1] += s * e[0] + c * e[1]
+            g[2] += tool[0] * e[1] - tool[1] * e[0] + e[5]
     return residual
+
+
+@kernel
+def _solve_step(damping, scratch):
+    """Solve the damped normal equations; the base's step is then in g, those of the states in B.
+
+    The states are eliminated (Schur complement), and follow from the base's step.
+    """
+    _, _, _, A, B, S, g = scratch
+    for m in range(len(A)):
+        n = A.shape[1]
+        for i in range(n):
+            A[m, i, i] += damping
+            for j in range(i + 1):
+                v = A[m, i, j]
+                for k in range(j):
+                    v -= A[m, i, k] * A[m, j, k]
+                A[m, i, j] = np.sqrt(max(v, 1e-18)) if i == j else v / A[m, j, j]
+            for a in range(4):
+                for k in range(i):
+                    B[m, i, a] -= A[m, i, k] * B[m, k, a]
+                B[m, i, a] /= A[m, i, i]
+            for a in range(3):
+                g[a] -= B[m, i, a] * B[m, i, 3]
+                for b in range(a + 1):
+                    S[a, b] -= B[m, i, a] * B[m, i, b]
+    for a in range(3):
+        S[a, a] += damping
+    solve_spd(S, g)
+    for m in range(len(A)):
+        for i in range(A.shape[1] - 1, -1, -1):
+            for a in range(3):
+                B[m, i, 3] -= B[m, i, a] * g[a]
+            for k in range(i + 1, A.shape[1]):
+                B[m, i, 3] -= A[m, k, i] * B[m, k, 3]
+            B[m, i, 3] /= A[m, i, i]
 
 
 @kernel
@@ -113,7 +160,7 @@ def _meet(base, q, poses, arm, scratch):
 
     The base does not move in the first steps, so that it moves no farther than necessary.
     """
-    A, g, before = scratch[3], scratch[4], np.inf
+    B, g, before = scratch[4], scratch[6], np.inf
     lower, upper = arm.limits.lower, arm.limits.upper
     for step in range(MAX_STEPS + 1):
         residual = _equations(base, q, poses, arm, step >= FIXED_BASE_STEPS, scratch)
@@ -125,40 +172,51 @@ def _meet(base, q, poses, arm, scratch):
             if residual > 0.5 * before:
                 return False
             before = residual
-        for a in range(len(g)):
-            A[a, a] += 1e-9 + 0.01 * min(residual, 1.0)
-        solve_spd(A, g)
+        _solve_step(1e-9 + 0.01 * min(residual, 1.0), scratch)
         for k in range(3):
             most = MAX_BASE_STEP if k < 2 else MAX_TURN_STEP
             base[k] += min(most, max(-most, g[k]))
         for m in range(len(q)):
             for k in range(q.shape[1]):
-                v = q[m, k] + min(MAX_TURN_STEP, max(-MAX_TURN_STEP, g[3 + m * q.shape[1] + k]))
+                v = q[m, k] + min(MAX_TURN_STEP, max(-MAX_TURN_STEP, B[m, k, 3]))
                 q[m, k] = min(max(v, lower[k]), upper[k])
     return False
+
+
+@kernel
+def _fit_scratch(arm, w):
+    """Allocate the scratch memory of `_meet` for w tool poses."""
+    n, R_to, p_to = len(arm.limits.lower), np.empty((3, 3)), np.empty(3)
+    newton = ik_scratch(arm).newton
+    for k in range(n):
+        newton.column[k] = k
+    A, B, S, g = np.empty((w, n, n)), np.empty((w, n, 4)), np.empty((3, 3)), np.empty(3)
+    return newton, R_to, p_to, A, B, S, g
+
+
+@kernel
+def _begin(q, seed):
+    """Let all states start at the same seed."""
+    for m in range(len(q)):
+        for k in range(q.shape[1]):
+            q[m, k] = seed[k]
 
 
 @entry
 def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -> None:
     """Fill `moved` (k, 3) and `met` (k,), see `fit_bases`."""
-    n, w = len(arm.limits.lower), len(poses)
-    ik, size = ik_scratch(arm), 3 + w * n
-    R_to, p_to, base, q = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((w, n))
-    A, g, full = np.empty((size, size)), np.empty(size), np.empty((6, size))
-    scratch = (ik.newton, R_to, p_to, A, g, full)
-    for k in range(n):
-        ik.newton.column[k] = k
+    base, q = np.empty(3), np.empty((len(poses), len(arm.limits.lower)))
+    scratch, seeds = _fit_scratch(arm, len(poses)), arm.ik.seeds
+    R_to, p_to = scratch[1], scratch[2]
+    tries = min(tries, len(seeds))
+    order, distance = np.zeros(tries, np.int64), np.empty(tries)
     for i in range(len(bases)):
         met[i], nearest = False, np.inf
         _target(bases[i], poses[0], R_to, p_to)
-        nearest_seeds(R_to, p_to, arm.ik, ik.order, ik.distance)
-        for t in range(min(tries, len(ik.order))):
-            for k in range(3):
-                base[k] = bases[i, k]
-            # All states start at the same seed.
-            for m in range(w):
-                for k in range(n):
-                    q[m, k] = arm.ik.seeds[ik.order[t], k]
+        nearest_seeds(R_to, p_to, arm.ik, order, distance)
+        for t in range(tries):
+            base[:] = bases[i]
+            _begin(q, seeds[order[t]])
             if not _meet(base, q, poses, arm, scratch):
                 continue
             away = 0.0
@@ -166,8 +224,59 @@ def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -
                 away += (base[k] - bases[i, k]) ** 2
             if away < nearest:
                 met[i], nearest = True, away
-                for k in range(3):
-                    moved[i, k] = base[k]
+                moved[i] = base
+
+
+@kernel
+def _nearest_upright(T, ik, order, distance):
+    """Fill `order` with the seeds whose tool is nearest to a pose in height and tilt."""
+    most, poses = len(order), ik.seed_poses
+    distance[:] = np.inf
+    order[:] = 0
+    for i in range(len(poses)):
+        s = (poses[i, 2] - T[2, 3] / SEED_LENGTH) ** 2
+        if s >= distance[most - 1]:
+            continue
+        s += (poses[i, 5] - T[2, 0]) ** 2 + (poses[i, 8] - T[2, 1]) ** 2
+        if s >= distance[most - 1]:
+            continue
+        j = most - 1
+        while j > 0 and distance[j - 1] > s:
+            distance[j], order[j] = distance[j - 1], order[j - 1]
+            j -= 1
+        distance[j], order[j] = s, i
+
+
+@kernel
+def _stand(base, T, seed_pose):
+    """Write the base pose from which a seed's tool is nearest to a pose, but for its height."""
+    sine, cosine = 0.0, 0.0
+    for axis in range(2):
+        x, y = seed_pose[3 + 3 * axis], seed_pose[4 + 3 * axis]
+        sine += x * T[1, axis] - y * T[0, axis]
+        cosine += x * T[0, axis] + y * T[1, axis]
+    base[2] = np.arctan2(sine, cosine)
+    c, s = np.cos(base[2]), np.sin(base[2])
+    x, y = SEED_LENGTH * seed_pose[0], SEED_LENGTH * seed_pose[1]
+    base[0] = T[0, 3] - c * x + s * y
+    base[1] = T[1, 3] - s * x - c * y
+
+
+@entry
+def _meets_somewhere(poses: F3, count: int, arm: ArmArrays) -> bool:
+    """See `meets_somewhere`."""
+    base, q = np.empty(3), np.empty((len(poses), len(arm.limits.lower)))
+    scratch, ik = _fit_scratch(arm, len(poses)), arm.ik
+    count = min(count, len(ik.seeds))
+    order, distance = np.zeros(count, np.int64), np.empty(count)
+    for m in range(len(poses)):
+        _nearest_upright(poses[m], ik, order, distance)
+        for t in range(count):
+            _stand(base, poses[m], ik.seed_poses[order[t]])
+            _begin(q, ik.seeds[order[t]])
+            if _meet(base, q, poses, arm, scratch):
+                return True
+    return False
 
 
 def fit_bases(
@@ -197,27 +306,19 @@ def fit_bases(
     return moved, met
 
 
-def promising_bases(
-    ik: IkModel, T_world_tool: Float[np.ndarray, "4 4"], count: int
-) -> Float[np.ndarray, "k 3"]:
-    """Return base poses from which an arm nearly reaches a tool pose.
+def meets_somewhere(
+    chain: Chain, ik: IkModel, Ts_world_tool: Float[np.ndarray, "w 4 4"], count: int
+) -> bool:
+    """Return whether an arm reaches all of some tool poses from a promising base pose.
 
-    These belong to the seeds whose tool has nearly the height and the tilt of the tool pose; place
-    and turn about the vertical are those of the base.
+    From such a base pose an arm nearly reaches one of the tool poses: it belongs to a seed whose
+    tool has nearly the height and the tilt of the tool pose; place and turn about the vertical are
+    those of the base.
 
     Args:
-        ik: The arm.
-        T_world_tool: The tool pose.
-        count: Number of base poses, at most that of the seeds [-].
+        chain, ik: The arm.
+        Ts_world_tool: The tool poses.
+        count: Number of base poses for each tool pose, at most that of the seeds [-].
     """
-    wanted, seeds = pose_features(T_world_tool[None])[0].reshape(3, 3), ik.seed_poses
-    off = ((seeds.reshape(-1, 3, 3)[..., 2] - wanted[:, 2]) ** 2).sum(1)
-    nearest = np.argpartition(off, min(count, len(off)) - 1)[:count]
-    near = seeds[np.sort(nearest)].reshape(-1, 3, 3)
-    # The turn that brings the first two axes of the tool nearest to the wanted ones.
-    x, y = near[:, 1:, 0], near[:, 1:, 1]
-    sine = (x * wanted[1:, 1] - y * wanted[1:, 0]).sum(1)
-    cosine = (x * wanted[1:, 0] + y * wanted[1:, 1]).sum(1)
-    yaw = np.arctan2(sine, cosine)
-    tool = np.einsum("kij,kj->ki", rotation(yaw), near[:, 0, :2])
-    return np.column_stack([(wanted[0, :2] - tool) * SEED_LENGTH, yaw])
+    poses = np.array(Ts_world_tool, float)  # writable, as the entry needs it
+    return bool(_meets_somewhere(poses, count, arm_arrays(chain, ik)))

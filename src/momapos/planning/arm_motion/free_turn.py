@@ -11,6 +11,7 @@ forth between them while the tool moves evenly; the arm would stop at each turn.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ import numpy as np
 from momapos.core import owner_cache
 from momapos.core.geometry import wrap_angle
 from momapos.model.collision import FREE, CollisionWorld
-from momapos.model.kinematics import build_ik, fit_bases, promising_bases, with_tool_turn
+from momapos.model.kinematics import build_ik, fit_bases, meets_somewhere, with_tool_turn
 from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion, no_turning
 
@@ -43,6 +44,9 @@ MAX_FITTED_MODES = 4
 FEWEST_STARTS, MOST_STARTS, STARTS = 12, 96, 1000
 """Base poses for each of three tool poses from which a mode is examined, and in all modes together
 [-]. Of modes that turn about a bar, 1 in 30 of them meets; the many modes of drawers are alike."""
+STRETCHES = (0.05, 0.1, 0.2)
+"""Lengths of a straight line at which a mode is examined before the whole line, the shortest first
+[m]: most modes fail on the first, for every task of an arm that moves in this direction."""
 _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Its multiples modulo 1 are spread evenly, for any count [-]."""
 _MAX_ARMS, _MAX_FITS = 64, 1024
@@ -127,15 +131,29 @@ def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> boo
     # Where the task is does not matter: grasps of one bar are alike.
     Ts = Ts.copy()
     Ts[:, :2, 3] -= Ts[0, :2, 3]
-    return _meets(arm, (np.round(Ts, _DIGITS) + 0.0).tobytes(), count)
+    rigid = mode < len(motion.turning.angles)
+    return all(
+        _meets(arm, (np.round(some, _DIGITS) + 0.0).tobytes(), count)
+        for some in (_stretches(Ts) if rigid else (Ts,))
+    )
+
+
+def _stretches(Ts: Float[np.ndarray, "4 4 4"]) -> Iterator[Float[np.ndarray, "4 4 4"]]:
+    """Yield the tool poses of the first stretches of a straight motion, and of all of it."""
+    way = Ts[3, :3, 3] - Ts[1, :3, 3]
+    length = float(np.linalg.norm(way))
+    for stretch in STRETCHES:
+        if stretch < length:
+            some = Ts.copy()
+            some[2:, :3, 3] = Ts[1, :3, 3] + way * (stretch / length * np.array([[0.5], [1.0]]))
+            yield some
+    yield Ts
 
 
 @owner_cache(_MAX_FITS)
 def _meets(arm: ArmModel, poses: bytes, count: int) -> bool:
     """Return whether base poses reach tool poses (4, 4, 4), given as their bytes."""
-    Ts = np.frombuffer(poses).reshape(-1, 4, 4)
-    starts = np.concatenate([promising_bases(arm.ik, T, count) for T in Ts[1:]])
-    return bool(fit_bases(arm.chain, arm.ik, starts, Ts)[1].any())
+    return meets_somewhere(arm.chain, arm.ik, np.frombuffer(poses).reshape(-1, 4, 4), count)
 
 
 def _straight(motion: TaskMotion) -> bool:

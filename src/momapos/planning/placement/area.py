@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import owner_cache
+from momapos.core.compiled import F1, F2, entry
 from momapos.core.geometry import all_inside, local_points, place_points
 from momapos.model.collision import FREE, base_hits
 from momapos.model.robots import Robot
@@ -132,26 +133,32 @@ def reachable_rectangle(geometry: PlacementGeometry) -> Float[np.ndarray, "2 2"]
     return np.stack([low, high]) if (low < high).all() else None
 
 
+@entry
+def _within_reach(poses: F2, shoulder: F1, targets: F2, radius: F1) -> np.ndarray:
+    """See `within_reach`."""
+    out, last = np.empty(len(poses), np.bool_), len(targets) - 1
+    for i in range(len(poses)):
+        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        x = poses[i, 0] + c * shoulder[0] - s * shoulder[1]
+        y = poses[i, 1] + s * shoulder[0] + c * shoulder[1]
+        out[i] = True
+        for k in range(-1, last):
+            # The last waypoint and the first exclude most poses.
+            w = last if k < 0 else k
+            if not (x - targets[w, 0]) ** 2 + (y - targets[w, 1]) ** 2 <= radius[w] ** 2:
+                out[i] = False
+                break
+    return out
+
+
 def within_reach(
     geometry: PlacementGeometry, poses: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Check that all waypoints are within reach of the arm's axis (dist_xy <= Delta_r)."""
-    x, y = geometry.shoulder[:2]
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    axis_x, axis_y = poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y
-    targets, radius = geometry.Ts_world_tool[0, :, :2, 3], arm_radius(geometry)
-    left = np.arange(len(poses))
-    # The first and last waypoint exclude most poses. Waypoints are rows: few and long.
-    for some in ([0], [-1], slice(1, -1)):
-        away_x = axis_x[left] - targets[some, :1]
-        away_y = axis_y[left] - targets[some, 1:]
-        away_x *= away_x
-        away_y *= away_y
-        away_x += away_y
-        left = left[(away_x <= radius[some, None] ** 2).all(0)]
-    within = np.zeros(len(poses), bool)
-    within[left] = True
-    return within
+    targets = np.ascontiguousarray(geometry.Ts_world_tool[0, :, :2, 3])
+    return _within_reach(
+        np.ascontiguousarray(poses, float), geometry.shoulder, targets, arm_radius(geometry)
+    )
 
 
 def clears_sweep(
@@ -234,12 +241,11 @@ def grid_standing(
         turn: Yaw step [deg].
     """
     table = _table(*_key(geometry), cell, turn)
-    steps = (local - [0.0, 0.0, -np.pi]) / [cell, cell, np.radians(turn)]
-    index = np.rint(steps).astype(np.int64)
+    step = np.array([cell, cell, np.radians(turn)])
 
     def stands(rows: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
-        middle = _grow(table, index)
-        at = tuple((index[rows] + middle).T)
+        index = np.rint((local[rows] - [0.0, 0.0, -np.pi]) / step).astype(np.int64)
+        at = tuple((index + _grow(table, index)).T)
         codes = table.codes[at]
         unknown = codes == _UNKNOWN
         codes[unknown] = standing_codes(geometry, poses[rows[unknown]])
@@ -250,7 +256,7 @@ def grid_standing(
 
 
 def _grow(table: _Table, index: Int[np.ndarray, "n 3"]) -> Int[np.ndarray, "3"]:
-    """Make room for all cells of a grid; return the cell of the frame's origin."""
+    """Make room for cells of a grid; return the cell of the frame's origin."""
     most = np.abs(index).max(0, initial=0)
     most[:2] = most[:2].max()
     old = np.array(table.codes.shape)
