@@ -229,13 +229,13 @@ def simulation_tables(answers: Sequence[Answer]) -> list[str]:
 
 
 def simulation_phrases(answers: Sequence[Answer]) -> list[str]:
-    """Return what the pages say of `paper` and `ours` in the paper's simulation in words."""
-    solved = {
-        method: {a.task: a.group for a in answers if a.success and a.method == method}
-        for method in ("paper", "ours")
-    }
+    """Return what the pages say of the methods in the paper's simulation in words."""
+    methods = {a.method for a in answers}
+    solved = {m: {a.task for a in answers if a.success and a.method == m} for m in methods}
     tasks = {a.task: a.group for a in answers}
-    first, second = set(solved["paper"]), set(solved["ours"])
+    first, second = solved["paper"], solved["ours"]
+    by_none = Counter(tasks[task] for task in tasks.keys() - set().union(*solved.values()))
+    more = {m: len(solved[m] - second) for m in ("habitat", "m3", "reuleaux")}
     lost = Counter(tasks[task] for task in second - first)
     neither = Counter(group for task, group in tasks.items() if task not in first | second)
     drives = {m: {a.task: a.driving for a in answers if a.method == m} for m in solved}
@@ -253,6 +253,10 @@ def simulation_phrases(answers: Sequence[Answer]) -> list[str]:
         f"Neither solves {neither.total()}, of which {neither['in dishwasher']} are objects in "
         f"dishwashers and {neither['in fridge']} in fridges",
         f"drives {100 * (far / short - 1):.0f} % farther",
+        f"Of the tasks that `ours` does not solve, `habitat` solves {more['habitat']}, `m3` "
+        f"{more['m3']} and `reuleaux` {more['reuleaux']}",
+        f"None solves {by_none.total()}, of which {by_none['in dishwasher']} are objects in "
+        f"dishwashers and {by_none['in fridge']} in fridges",
         f"{shares[0]:.0f}, {shares[1]:.0f} and {shares[2]:.0f} % of 500 tasks each, "
         f"{100 * len(first) / len(first | second):.0f} % of those that `paper` or `ours` solves",
     ]
