@@ -18,6 +18,7 @@ from momapos.core.geometry import pose_planar
 from momapos.model.records import Hold, Motion, PlacementPlan
 from momapos.model.scene import stays_in_place
 
+from .max_opening import last_that_works
 from .max_opening_plan import MIN_TIMEOUT, answer_on_watch, by_samples
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -92,22 +93,23 @@ def _after(query: PlacementQuery, leg: PlacementResult) -> PlacementQuery:
 def _longest(
     query: PlacementQuery, at: PlacementQuery, answer: Answer
 ) -> tuple[PlacementResult | None, PlacementResult | None]:
-    """Find the longest stretch that one base pose serves, by bisection.
+    """Find the longest stretch that one base pose serves, from short ones on.
 
     Returns:
         Its answer, and that for the shortest stretch without a plan; None for none.
     """
-    values = _values(query, at)
-    low, high, best, refused = 0, len(values), None, None
-    # A short stretch shows whether the part can be taken at all.
-    middle = 0
-    while low < high:
-        leg = _leg(query, at, float(values[middle]), answer, again=True)
+    values, refused = _values(query, at), None
+
+    def reaches(index: int) -> PlacementResult | None:
+        nonlocal refused
+        leg = _leg(query, at, float(values[index]), answer, again=True)
         if leg is not None and _can_be_joined(leg):
-            low, best = middle + 1, leg
-        else:
-            high, refused = middle, leg
-        middle = (low + high) // 2
+            return leg
+        refused = leg
+        return None
+
+    # A short stretch shows whether the part can be taken at all, and many are short.
+    _, best = last_that_works(reaches, -1, len(values), first_step=1)
     return best, refused
 
 
