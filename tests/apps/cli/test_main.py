@@ -105,6 +105,18 @@ def test_every_shell_completes_every_command(shell: str) -> None:
             "close always closes a part completely",
         ),
         (["place", "pick", "kitchen_small", "cup", "--at", "1,2,90"], "did you mean 90deg"),
+        (
+            ["place", "pick", "kitchen_small", "cup", "--seed", "x"],
+            "--seed 'x' is not a whole number",
+        ),
+        (
+            ["place", "pick", "kitchen_small", "cup", "--polish", "1.5"],
+            "'1.5' is not a whole number",
+        ),
+        (
+            ["place", "pick", "kitchen_small", "cup", "--alpha", "no"],
+            "--alpha 'no' is not a number",
+        ),
         (["place", "open", "kitchen_small", "microwave", "--timeout", "0"], "timeout"),
         (["verify", "no_such_plan.json"], "no_such_plan.json"),
     ],

@@ -21,6 +21,12 @@ TIMEOUT = "timeout"
 """Name of the option for the time limit of a command."""
 _FRAME = re.compile(r"\x1b\[[0-9;]*m|[\u2500-\u257f]|-{8,}")
 """Colors of tyro's messages, and lines around them and between their parts."""
+_NO_NUMBER = re.compile(
+    r"Error parsing (?P<option>\S+): (?:no type matching \{None\}\|(?P<kind>INT|FLOAT) could be "
+    r"instantiated from \[['\"]|(?P<whole>invalid literal for int)[^:]*: '"
+    r"|could not convert string to float: ')(?P<given>.*)['\"]\]?"
+)
+"""Messages of tyro about a word that is no number."""
 
 
 def with_time_limit(command: Callable[..., int]) -> Callable[..., int]:
@@ -103,10 +109,16 @@ def in_one_line(printed: str) -> str:
         elif parts[-1]:
             parts.append("")
     what = re.sub(r"'None', |, 'None'(?=\))", "", parts[0].rstrip("."))  # an option left out
+    what = _NO_NUMBER.sub(_not_a_number, what)
     meant = [
         flag for part in parts if part.startswith("Perhaps you meant") for flag in _flags(part)
     ]
     return f"{what}; did you mean {' or '.join(meant)}?" if meant else what
+
+
+def _not_a_number(found: re.Match[str]) -> str:
+    whole = found["whole"] or found["kind"] == "INT"
+    return f"{found['option']} {found['given']!r} is not a {'whole ' if whole else ''}number"
 
 
 def _flags(text: str) -> list[str]:
