@@ -21,11 +21,18 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import save_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning.advice import objects_in_the_way, with_advice
+from momapos.planning.advice import (
+    DIRECTIONS,
+    DISTANCES,
+    FLUSH,
+    can_be_moved,
+    free_offsets,
+    objects_in_the_way,
+    with_advice,
+)
 from momapos.planning.base_pose_check import check_pose
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.moved_objects import DIRECTIONS, DISTANCES, FLUSH, can_be_moved, free_offsets
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery

@@ -20,7 +20,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.base_pose_check import plan_at_pose
 from momapos.planning.carrying import carrier_of
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.max_opening_plan import by_samples
+from momapos.planning.max_opening import by_samples
 from momapos.planning.navigation.convex_polygons import prisms_of
 from momapos.planning.navigation.driving import drive
 from momapos.planning.navigation.footprint_map import build_navigation_map

@@ -19,8 +19,7 @@ from momapos.planning.base_use import plan_moving
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_motions import task_motion
 from momapos.planning.grasps.task_requests import make_task
-from momapos.planning.moving_base import BaseShift, search_moving
-from momapos.planning.moving_starts import ShortArmStarts
+from momapos.planning.moving_base import BaseShift, ShortArmStarts, search_moving
 from momapos.planning.placement.config import PlaceConfig
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach

@@ -24,7 +24,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.motion_record import TaskMotion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
-from momapos.planning.max_opening_plan import by_samples
+from momapos.planning.max_opening import by_samples
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
 from momapos.planning.reachability.map_store import load_reach

@@ -30,8 +30,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
-from momapos.planning.max_opening import last_of_all, last_that_works
-from momapos.planning.max_opening_plan import find_max_opening
+from momapos.planning.max_opening import find_max_opening, last_of_all, last_that_works
 from momapos.planning.partial_opening import with_max_opening
 from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery

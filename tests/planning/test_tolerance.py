@@ -24,7 +24,6 @@ from momapos.planning.arm_motion.feasibility import adapt_motion
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, placement_tolerance, plan_base_placement
 from momapos.planning.placement.problem import Search
-from momapos.planning.replan_nearby import Depth, NearbyReplanner
 from momapos.planning.result import PlacementResult
 from momapos.planning.robust import unit_offsets
 from momapos.planning.tolerance import (
@@ -32,6 +31,8 @@ from momapos.planning.tolerance import (
     RADII,
     SAMPLES,
     TURN_PER_RADIUS,
+    Depth,
+    NearbyReplanner,
     largest_radius,
     measured_tolerance,
     with_tolerance,

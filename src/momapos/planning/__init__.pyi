@@ -15,7 +15,7 @@ from .keyword_forms import plan_base_placement as plan_base_placement
 from .keyword_forms import plan_by_method as plan_by_method
 from .keyword_forms import plan_tour as plan_tour
 from .max_opening import last_that_works as last_that_works
-from .max_opening_plan import plan_max_opening as plan_max_opening
+from .max_opening import plan_max_opening as plan_max_opening
 from .opening_maps import YAWS as YAWS
 from .opening_maps import OpeningMap as OpeningMap
 from .opening_maps import opening_map as opening_map

@@ -24,8 +24,7 @@ from momapos.planning.placement import (
 
 from .any_grasp import narrower_hands, with_other_handles_only
 from .carrying import Carrying
-from .max_opening import from_the_top
-from .max_opening_plan import values_short_of
+from .max_opening import from_the_top, values_short_of
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
 from .result import PlacementResult, plan_of

@@ -21,7 +21,7 @@ from momapos.model.scene import Scene
 from momapos.model.urdf import Articulated, opening_of
 from momapos.planning.grasps import make_task
 
-from .max_opening_plan import MIN_TIMEOUT
+from .max_opening import MIN_TIMEOUT
 from .plan import plan_placement
 from .query import PlacementQuery
 from .time_limit import with_note

@@ -2,20 +2,207 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
 
 from momapos.core import Clock, OutOfTimeError, Stopwatch, processor_time, time_limit
-from momapos.planning.grasps import slides
+from momapos.planning.grasps import FULL_DOF, slides
 from momapos.verification import meets_floor_at
 
-from .max_opening import values_per_waypoint
-from .max_opening_plan import MIN_TIMEOUT, find_max_opening, values_short_of
-from .opening_by_use import reached_by_use
+from .base_use import plan_moving
+from .config import PipelineConfig
+from .max_opening import (
+    MIN_TIMEOUT,
+    answer_on_watch,
+    by_samples,
+    find_max_opening,
+    last_that_works,
+    values_per_waypoint,
+    values_short_of,
+)
 from .plan import plan_to_value
 from .query import PlacementQuery
 from .result import PlacementResult
+from .several_stops import MAX_STOPS, STRETCHES, plan_in_stretches
 from .time_limit import FARTHEST, cut_short, time_left
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+
+Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """How far one use of the base moves a part."""
+
+    use: str
+    """The use in words."""
+    best: PlacementResult | None
+    """The answer for the farthest value that was found; None if there is none."""
+    refused: PlacementResult | None
+    """The answer for the next value, which has no motion."""
+    start: float
+    """Where the part is now [rad] or [m]."""
+
+    @property
+    def way(self) -> float:
+        """Return how far the part moves [rad] or [m]."""
+        to = None if self.best is None else self.best.plan.task.to
+        return 0.0 if to is None else abs(to - self.start)
+
+    def __str__(self) -> str:
+        to, farther = (
+            "" if one is None or one.plan.task.to is None else one.value_words(one.plan.task.to)
+            for one in (self.best, self.refused)
+        )
+        why = "" if self.refused is None else f"{farther} was found: {_why_not(self.refused)}"
+        if self.best is None:
+            return f"{self.use}, no motion even to {why}"
+        return f"{self.use}, the part moves at least to {to}" + (why and f"; no motion to {why}")
+
+
+def reached_by_use(
+    query: PlacementQuery, infeasible: PlacementResult, answer: Answer
+) -> list[Reached]:
+    """Find how far each use of the base moves the part, to an eighth of its way.
+
+    Few searches estimate it. What is then stated is asked directly, with the query's whole
+    configuration: that the part moves to a value, and that it does not move an eighth farther, with
+    the reason. The query's stopwatch counts the time.
+
+    Args:
+        query: A question that has no answer, with the uses that it allows.
+        infeasible: Its answer.
+        answer: Answers a question from one base pose.
+    """
+    use = query.config.base
+    ask = _Questions(query, answer, {STRETCHES - 1: infeasible})
+    every = [ask.farthest("from one base pose", ask.from_one_pose, ask.estimate(answer))]
+    if use in ("stops", "auto"):
+        known = plan_in_stretches(query, infeasible, answer, how_far=True).stretches
+        guess = ask.index_of(known[-1]) if known else -1
+        name = f"from up to {MAX_STOPS} stops"
+        every.append(ask.farthest(name, ask.from_stops, max(guess, ask.index_of(every[0].best))))
+    if use in ("moving", "auto"):
+        guess = max(ask.estimate(plan_moving), ask.index_of(every[0].best))
+        every.append(ask.farthest("with a moving base", ask.with_moving_base, guess))
+    return every
+
+
+@dataclass
+class _Questions:
+    """Direct questions about eighths of the way, those from one base pose asked once."""
+
+    query: PlacementQuery
+    answer: Answer
+    """Answers a question from one base pose."""
+    known: dict[int, PlacementResult]
+    """Answers from one base pose, by eighth."""
+
+    @property
+    def start(self) -> float:
+        """Return where the part is now [rad] or [m]."""
+        task = self.query.task
+        assert task.joint is not None
+        return self.query.scene.object(task.object).values()[task.joint]
+
+    @property
+    def values(self) -> Float[np.ndarray, " k"]:
+        """Return the values that are asked for, whole degrees or centimeters [rad] or [m]."""
+        task = self.query.task
+        assert task.to is not None
+        unit = 0.01 if slides(self.query.scene, task) else np.radians(1.0)
+        every = np.linspace(self.start, task.to, STRETCHES + 1)[1:]
+        return np.append(unit * np.round(every[:-1] / unit), task.to)
+
+    def index_of(self, found: PlacementResult | None) -> int:
+        """Return which value an answer reaches; -1 for none."""
+        to = None if found is None else found.plan.task.to
+        return -1 if to is None else int(np.abs(self.values - to).argmin())
+
+    def estimate(self, answer: Answer) -> int:
+        """Return the last value that few searches reach, -1 for none, by bisection.
+
+        The base poses of a short arm that drives are on a surface, which samples miss.
+        """
+        config = self.query.config
+        if answer is not plan_moving or self.query.robot.chain.size >= FULL_DOF:
+            config = by_samples(config)
+
+        def reaches(index: int) -> bool | None:
+            return self._ask(index, answer, config).plan.feasible or None
+
+        return last_that_works(reaches, -1, STRETCHES - 1)[0]
+
+    def farthest(self, use: str, ask: Callable[[int], PlacementResult], guess: int) -> Reached:
+        """Return how far a use moves the part by direct questions, starting from an estimate."""
+        best, refused, at = None, None, guess
+        while at >= 0 and best is None:
+            found = ask(at)
+            if found.plan.feasible:
+                best = found
+            else:
+                refused, at = found, at - 1
+        while at + 1 < STRETCHES and refused is None:
+            found = ask(at + 1)
+            if found.plan.feasible:
+                best, at = found, at + 1
+            else:
+                refused = found
+        return Reached(use, best, refused, self.start)
+
+    def from_one_pose(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose."""
+        if index not in self.known:
+            self.known[index] = self._ask(index, self.answer, self.query.config)
+        return self.known[index]
+
+    def from_stops(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose, or else from several stops."""
+        one = self.from_one_pose(index)
+        if one.plan.status != "infeasible":
+            return one
+        found = plan_in_stretches(self._to(index), one, self.answer)
+        refused = found.refused or one
+        return found.answer or replace(
+            refused, plan=replace(refused.plan, task=one.plan.task, feasible_to=None)
+        )
+
+    def with_moving_base(self, index: int) -> PlacementResult:
+        """Answer the question for a value from one base pose, or else with a moving base."""
+        one = self.from_one_pose(index)
+        if one.plan.status != "infeasible":
+            return one
+        return self._ask(index, plan_moving, self.query.config)
+
+    def _to(self, index: int) -> PlacementQuery:
+        """Return the question for a value."""
+        task = replace(self.query.task, to=float(self.values[index]), farthest=False)
+        return replace(self.query, task=task)
+
+    def _ask(self, index: int, answer: Answer, config: PipelineConfig) -> PlacementResult:
+        """Answer the question for a value; the query's stopwatch counts the time."""
+        left = max(self.query.config.timeout - self.query.watch.total, MIN_TIMEOUT)
+        again = replace(self._to(index), config=replace(config, timeout=left))
+        return answer_on_watch(self.query, again, answer)
+
+
+def _why_not(answer: PlacementResult) -> str:
+    """Return what stops an infeasible answer, in words: of the base pose that came farthest."""
+    candidates = answer.plan.candidates
+    if answer.plan.status == "timeout":
+        return "the time limit"
+    if candidates.nearest is not None:
+        return candidates.nearest.reason
+    if answer.prepared.infeasible_reason:
+        return answer.prepared.infeasible_reason
+    return next(iter(candidates.rejections), "there is no base pose to try")
 
 
 def with_max_opening(answer: PlacementResult, *, clock: Clock = processor_time) -> PlacementResult:

@@ -16,7 +16,7 @@ from momapos.planning.placement import OURS, search
 
 from .any_grasp import with_any_grasp
 from .base_use import with_other_use
-from .max_opening_plan import plan_max_opening
+from .max_opening import plan_max_opening
 from .query import PlacementQuery
 from .refine_model import initial_selection, refine_model
 from .result import PlacementResult

@@ -35,13 +35,44 @@ from momapos.planning.navigation import (
     outlines_after,
 )
 from momapos.planning.placement import OURS, PoseCost, PoseMask
-from momapos.planning.reachability import load_reach
+from momapos.planning.reachability import ArmLength, ReachMap, load_reach
 
-from .checked_reach import checked_reach
 from .config import PipelineConfig
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
+
+
+@dataclass(frozen=True)
+class CheckedReach:
+    """A scorer whose arguments are copies, and whose scores are checked."""
+
+    scorer: ReachScorer
+
+    def min_score(
+        self, bases: Float[np.ndarray, "n 3"], Ts_world_tool: Float[np.ndarray, "g w 4 4"]
+    ) -> Float[np.ndarray, "n g"]:
+        """Return the scores of the scorer.
+
+        Raises:
+            InputError: They are not one number in [0, 1] for each base pose and grasp.
+        """
+        scores = np.asarray(self.scorer.min_score(bases.copy(), Ts_world_tool.copy()))
+        shape = (len(bases), len(Ts_world_tool))
+        if scores.shape != shape or scores.dtype.kind not in "fiub":
+            raise InputError(
+                f"reach.min_score must return an array of shape {shape}, a score for each base "
+                f"pose and grasp, not an array of {scores.dtype} of shape {scores.shape}"
+            )
+        if not ((scores >= 0.0) & (scores <= 1.0)).all():
+            raise InputError("reach.min_score must return scores in [0, 1]")
+        return scores.astype(float)
+
+
+def checked_reach(reach: ReachScorer) -> ReachScorer:
+    """Return a scorer with checks, unless it is one of momapos."""
+    return reach if isinstance(reach, ReachMap | ArmLength | CheckedReach) else CheckedReach(reach)
+
 
 FinalCheck: TypeAlias = "Callable[[Float[np.ndarray, '3']], PoseOutcome | None]"
 """Returns why a base pose with a motion is rejected; None if it is accepted."""

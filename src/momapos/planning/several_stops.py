@@ -18,8 +18,7 @@ from momapos.core.geometry import pose_planar
 from momapos.model.records import Hold, Motion, PlacementPlan
 from momapos.model.scene import stays_in_place
 
-from .max_opening import last_that_works
-from .max_opening_plan import MIN_TIMEOUT, answer_on_watch, by_samples
+from .max_opening import MIN_TIMEOUT, answer_on_watch, by_samples, last_that_works
 from .query import PlacementQuery
 from .result import PlacementResult
 

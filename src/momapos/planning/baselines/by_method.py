@@ -12,7 +12,7 @@ from momapos.model.records import KeyObjects
 from momapos.planning.config import RANKERS, PipelineConfig
 from momapos.planning.grasps import TaskMotion, task_motion
 from momapos.planning.importance import rank
-from momapos.planning.max_opening_plan import plan_max_opening
+from momapos.planning.max_opening import plan_max_opening
 from momapos.planning.placement import OURS, Search, search_in_order
 from momapos.planning.plan import plan_placement
 from momapos.planning.query import PlacementQuery
