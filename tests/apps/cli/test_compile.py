@@ -19,7 +19,7 @@ ON_FIRST_USE = {
     "momapos.planning.reachability": "a map is built once per robot, and shows its progress",
     "momapos.model.collision.arm_collision": "exact reach, compact tours and drawings",
     "momapos.model.collision.base_collision._hit_moving": "other kernels call it; Python in tests",
-    "momapos.model.kinematics.base_fit._fit": "only where the hand may turn freely",
+    "momapos.model.kinematics.base_fit": "only for arms of fewer than six joints",
     "momapos.model.kinematics.ik._solve_all": "inverse kinematics on its own",
     "momapos.perception": "a scan is checked while it is read, and shows its progress",
     "momapos.planning.navigation.dynamic_window": "a run drives after it has planned",

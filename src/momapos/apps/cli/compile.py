@@ -41,6 +41,7 @@ ANSWER = (
     "momapos.planning.navigation.lattice.connections",
     "momapos.planning.navigation.lattice.shorten",
     "momapos.planning.navigation.lattice.standable",
+    "momapos.planning.placement.area._within_reach",
     "momapos.planning.placement.grasp_scores._sees",
     "momapos.planning.reachability.grid.min_line_scores",
     "momapos.verification.convex.overlap",
