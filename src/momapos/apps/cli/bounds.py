@@ -94,15 +94,18 @@ def _imports_numpy() -> bool:
 
 
 @contextmanager
-def within_time(seconds: float) -> Iterator[None]:
+def within_time(seconds: float | None) -> Iterator[None]:
     """End the search of a command when its time limit is over, and soon after it anything else.
 
     Args:
-        seconds: Processor time since the command began [s].
+        seconds: Processor time since the command began [s]; None for no limit.
 
     Raises:
         OutOfTimeError: It is over.
     """
+    if seconds is None:
+        yield
+        return
     left, alone = _left(seconds)
     error = OutOfTimeError(
         f"the time limit of {seconds:g} s is over before a search ended; give more --timeout"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -126,8 +125,7 @@ def draw(
 
         from .console import progress
 
-        limit = nullcontext() if seconds is None else within_time(seconds)
-        with limit, progress(f"{robot.name}: opening map") as report:
+        with within_time(seconds), progress(f"{robot.name}: opening map") as report:
             farthest = opening_map(
                 found.scene, robot, found.task, reach, config=config, seed=seed, report=report
             )
@@ -455,7 +453,7 @@ def _answer(
         # The default limit is for the search of the plan.
         draw(
             found, config, plot=options.plot, map_file=map_file, seed=options.seed,
-            seconds=None if options.timeout is None else config.timeout,
+            seconds=options.timeout,
         )  # fmt: skip
     except OutOfTimeError as error:
         late = error

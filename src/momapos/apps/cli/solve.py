@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -137,7 +136,7 @@ def _solve(
 ) -> tuple[ScanAnswer, RunRecord | None]:
     """Plan and execute, and write everything but the record."""
     # The default limit is for each search: reading a scan may take longer.
-    with nullcontext() if options.timeout is None else within_time(config.timeout):
+    with within_time(options.timeout):
         if options.run:  # a missing package is reported before the work
             with require("physics"):
                 from momapos.workflows import run_plan  # noqa: F401

@@ -42,11 +42,11 @@ a turn to 3.14."""
 MAX_FITTED_MODES = 4
 """Maximum number of grasp modes to which a base pose is fitted [-]."""
 FEWEST_STARTS, MOST_STARTS, STARTS = 12, 96, 1000
-"""Base poses for each of three tool poses from which a mode is examined, and in all modes together
+"""Base poses for each tool pose from which a mode is examined, and in all modes together
 [-]. Of modes that turn about a bar, 1 in 30 of them meets; the many modes of drawers are alike."""
-STRETCHES = (0.05, 0.1, 0.2)
-"""Lengths of a straight line at which a mode is examined before the whole line, the shortest first
-[m]: most modes fail on the first, for every task of an arm that moves in this direction."""
+LINE_LENGTHS = (0.05, 0.1, 0.2)
+"""Lengths of a straight line on which a mode is examined before the whole line, the shortest first
+[m]. Most modes fail on the first; its result serves all tasks with this direction."""
 _GOLDEN_RATIO = 0.5 * (5.0**0.5 - 1.0)
 """Its multiples modulo 1 are spread evenly, for any count [-]."""
 _MAX_ARMS, _MAX_FITS = 64, 1024
@@ -134,18 +134,18 @@ def _is_feasible(robot: Robot, motion: TaskMotion, mode: int, count: int) -> boo
     rigid = mode < len(motion.turning.angles)
     return all(
         _meets(arm, (np.round(some, _DIGITS) + 0.0).tobytes(), count)
-        for some in (_stretches(Ts) if rigid else (Ts,))
+        for some in (_shorter_lines(Ts) if rigid else (Ts,))
     )
 
 
-def _stretches(Ts: Float[np.ndarray, "4 4 4"]) -> Iterator[Float[np.ndarray, "4 4 4"]]:
-    """Yield the tool poses of the first stretches of a straight motion, and of all of it."""
-    way = Ts[3, :3, 3] - Ts[1, :3, 3]
-    length = float(np.linalg.norm(way))
-    for stretch in STRETCHES:
-        if stretch < length:
+def _shorter_lines(Ts: Float[np.ndarray, "4 4 4"]) -> Iterator[Float[np.ndarray, "4 4 4"]]:
+    """Yield the tool poses of shorter straight motions, the shortest first, then the given ones."""
+    line = Ts[3, :3, 3] - Ts[1, :3, 3]
+    length = float(np.linalg.norm(line))
+    for shorter in LINE_LENGTHS:
+        if shorter < length:
             some = Ts.copy()
-            some[2:, :3, 3] = Ts[1, :3, 3] + way * (stretch / length * np.array([[0.5], [1.0]]))
+            some[2:, :3, 3] = Ts[1, :3, 3] + line * (shorter / length * np.array([[0.5], [1.0]]))
             yield some
     yield Ts
 
