@@ -16,12 +16,14 @@ from tests.real import DATA
 from momapos.apps.bench import dining_rooms, paper_rooms, suites
 from momapos.apps.bench.bench_records import Container, SuiteTask
 from momapos.apps.bench.dining_rooms import (
+    ACCEPTED,
     MICROWAVE,
     OBJECT_SIZES,
     PLACES,
     DiningRoom,
     make_room,
     microwave_on,
+    room_stream,
 )
 from momapos.apps.bench.methods import opened, without
 from momapos.apps.bench.paper_rooms import (
@@ -44,6 +46,7 @@ from momapos.core.errors import FileFormatError, InputError
 from momapos.model.collision.arm_collision import FREE
 from momapos.model.collision.base_collision import base_hits
 from momapos.model.robots.robot import Robot
+from momapos.model.scene.kitchens import LAYOUTS, empty_kitchen
 from momapos.model.scene.library.kitchen_writer import (
     Box,
     FurniturePart,
@@ -221,6 +224,33 @@ def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) ->
     again = make_room("single_wall", np.random.default_rng([0, 0]), tmp_path / "room.json")
     assert (again.objects, again.parts) == (drawn.objects, drawn.parts)
     assert again.file.read_bytes() == drawn.file.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "number", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in ACCEPTED if k != 2)]
+)
+def test_a_stored_random_state_skips_only_kitchens_that_are_rejected(
+    number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Accepted(Exception):
+        pass
+
+    def accept(*_: object) -> None:
+        raise Accepted
+
+    every = np.random.default_rng([dining_rooms.DEFAULT_SEED, number])
+    states = []
+
+    def kitchen(layout: str, seed: int) -> object:
+        states.append((seed, every.bit_generator.state))
+        return empty_kitchen(layout, seed)
+
+    monkeypatch.setattr(dining_rooms, "with_joint_limits", accept)
+    monkeypatch.setattr(dining_rooms, "empty_kitchen", kitchen)
+    with pytest.raises(Accepted):
+        make_room(LAYOUTS[number % len(LAYOUTS)], every, Path("unused"))
+    rng = room_stream(dining_rooms.DEFAULT_SEED, number)
+    assert states.index((int(rng.integers(2**31)), rng.bit_generator.state)) == len(states) - 1 > 0
 
 
 def test_a_room_is_drawn_once_and_a_failed_drawing_leaves_nothing(

@@ -153,6 +153,20 @@ FRONT_SHARE = 0.6
 [-]."""
 REVISION = 1
 """Increased when the same seed draws another room."""
+DEFAULT_SEED = 0
+ACCEPTED: Mapping[int, tuple[int, int | None]] = {
+    1: (0xE43EA276B67869A5297102488A358050, 1089445267),
+    2: (0x1FB9FF31FD23603939B5C53D141BF61E, 2621088956),
+    3: (0x854ECC3A8B380D21E7164E1AF86BB843, 330264596),
+    4: (0x6C31FE0A5944713DA21488F8A15346E5, None),
+    5: (0xCB68E41F9EDE955525484336CF143C66, None),
+    7: (0x444A7FA335C20B9A07E09533E02CC509, 2364669470),
+    9: (0xBF4CE2538120F0128531013770D9ECC5, None),
+}
+"""Where the random streams of rooms of the default seed draw the first kitchen that is accepted:
+the state of PCG64, and the half of its last word if that is still unused. 22 of 32 kitchens are
+rejected, each after 2 to 7 s. `make_room` draws on if another version of scene-synthesizer makes a
+kitchen that is rejected, too."""
 CONTENTS, MAX_BYTES = "contents.json", 1_000_000
 OPEN_SIDES = (("wall_front", 1, 0), ("wall_right", 0, 1), ("wall_left", 0, 0), ("wall_back", 1, 1))
 """Walls, and the edge of the floor at which they stand: axis, and 0 for its lower end."""
@@ -215,13 +229,24 @@ def drawn_room(seed: int, number: int) -> Path:
     if not home.exists():
         home.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(home.parent, key) as temporary:
-            rng, new = np.random.default_rng([seed, number]), temporary / "new"
+            rng, new = room_stream(seed, number), temporary / "new"
             room = make_room(LAYOUTS[number % len(LAYOUTS)], rng, new / f"room_{number:02d}.json")
             contents = {"objects": to_plain(room.objects), "parts": to_plain(room.parts)}
             (new / CONTENTS).write_text(json.dumps(contents))
             if not home.exists():  # else another process was faster, with an equal result
                 os.rename(new, home)
     return home
+
+
+def room_stream(seed: int, number: int) -> np.random.Generator:
+    """Return the random stream of a room, after the kitchens that are known to be rejected."""
+    rng = np.random.default_rng([seed, number])
+    if seed == DEFAULT_SEED and number in ACCEPTED:
+        word, half = ACCEPTED[number]
+        start = dict(rng.bit_generator.state)
+        start["state"] |= {"state": word}
+        rng.bit_generator.state = start | {"has_uint32": half is not None, "uinteger": half or 0}
+    return rng
 
 
 def copied_room(seed: int, number: int, folder: Path) -> DiningRoom:
