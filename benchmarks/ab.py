@@ -1,10 +1,12 @@
 """Compare the answers and times of two versions, task by task and in turn.
 
-    python benchmarks/ab.py COMMIT [--count 45] [--seed 0] [--robots fetch ...] [--out FILE]
+    python benchmarks/ab.py COMMIT [--count 45] [--seed 0] [--robots fetch ...] [--explained]
+        [--out FILE]
 
 Draws openings of the kitchens of `placement.py`. Both versions answer each task twice, in turn, in
 a process of its own each; the faster answer counts. So other programs on the machine slow both.
-Prints the ratio of processor times, this version to the other, and each answer that differs.
+Prints the ratio of processor times, this version to the other, and each answer that differs. With
+`--explained` a "no" includes its largest opening and its advice, as `momapos place` prints them.
 """
 
 from __future__ import annotations
@@ -29,12 +31,13 @@ ROBOTS = ["fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63"]
 STATUS, COST = "status", "cost"
 
 
-def answer_tasks() -> None:
+def answer_tasks(*, explained: bool) -> None:
     """Answer the tasks on standard input, by public names that all versions have."""
     import time
     from functools import cache
 
     import momapos
+    from momapos.planning import with_advice, with_max_opening
 
     scenes = cache(momapos.load_scene)
     robots = cache(lambda name: (r := momapos.load_robot(name), momapos.load_reach_map(r)))
@@ -47,23 +50,28 @@ def answer_tasks() -> None:
             task = momapos.make_task(scenes(path), "open", item, joint)
             for _ in range(2):
                 began = time.process_time()
-                plan = momapos.plan_base_placement(
+                answer = momapos.plan_base_placement(
                     scenes(path), robot, task, reach, config=config
-                ).plan
+                )
+                if explained:
+                    answer = with_advice(with_max_opening(answer))
+                plan = answer.plan
                 row.setdefault("seconds", []).append(time.process_time() - began)
             cost = plan.navigation_cost
             row |= {STATUS: plan.status, COST: cost if cost is None else round(cost, 6)}
+            if explained:
+                row[COST] = [row[COST], plan.feasible_to, plan.advice]
         except momapos.MomaposError as error:
             row = {STATUS: "refused", COST: str(error)}
         print(json.dumps(row), flush=True)
 
 
 @contextmanager
-def version(source: Path) -> Iterator[subprocess.Popen[str]]:
+def version(source: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
     """Start a process that answers tasks with the package in a folder."""
     env = {**os.environ, "PYTHONPATH": str(source)}
     with subprocess.Popen(
-        [sys.executable, __file__, "--answer"], env=env, text=True, cwd=source,
+        [sys.executable, __file__, "--answer", *options], env=env, text=True, cwd=source,
         stdin=subprocess.PIPE, stdout=subprocess.PIPE,
     ) as process:  # fmt: skip
         try:
@@ -145,17 +153,19 @@ def main() -> None:
     parser.add_argument(
         "--robots", nargs="+", default=["fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63"]
     )
+    parser.add_argument("--explained", action="store_true")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     if args.answer:
-        answer_tasks()
+        answer_tasks(explained=args.explained)
         return
     tasks = drawn(args.robots, args.count, args.seed)
+    options = ["--explained"] if args.explained else []
     rows = []
     with (
         checkout(args.commit) as folder,
-        version(ROOT / "src") as this,
-        version(folder / "src") as other,
+        version(ROOT / "src", *options) as this,
+        version(folder / "src", *options) as other,
     ):
         for task in tasks:
             rows.append({"task": task, "this": ask(this, task), "other": ask(other, task)})

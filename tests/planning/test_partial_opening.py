@@ -31,7 +31,7 @@ from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import check_base_pose, plan_base_placement
 from momapos.planning.max_opening import find_max_opening, last_of_all, last_that_works
-from momapos.planning.partial_opening import with_max_opening
+from momapos.planning.partial_opening import is_beyond_any_opening, with_max_opening
 from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery
 from momapos.planning.result import PlacementResult
@@ -196,6 +196,27 @@ def test_no_opening_is_stated_from_base_poses_that_the_user_excludes(
 ) -> None:
     assert refused.feasible_to is not None
     assert with_max_opening(excluded).plan.feasible_to is None
+
+
+@pytest.mark.parametrize(("height", "beyond"), [(0.0, False), (1.6, True)])
+def test_only_a_part_out_of_reach_of_an_empty_room_is_beyond_any_opening(
+    tmp_path: Path, segway: Robot, height: float, beyond: bool
+) -> None:
+    # The base does not drive onto the slab around the cabinet.
+    slab = (
+        ', {"name": "slab", "category": "slab", "pose": {"xyz": [0, 0, 0.02],'
+        ' "wxyz": [1, 0, 0, 0]}, "box": [8.0, 7.0, 0.04]}'
+    )
+    scene = cabinet_room(tmp_path, extra=slab)
+    cabinet, other = scene.objects
+    T = cabinet.T_world_object.copy()
+    T[2, 3] += height
+    room = replace(scene, objects=(replace(cabinet, T_world_object=T), other))
+    room = replace(room, start=np.array([0.0, -5.0, 1.57]))
+    answer = plan_base_placement(room, segway, make_task(room, "open", "cabinet"), seed=0)
+    assert answer.plan.status == "infeasible"
+    assert is_beyond_any_opening(answer) is beyond
+    assert with_max_opening(answer).plan.feasible_to is None
 
 
 def test_the_stated_base_pose_opens_to_the_stated_value(

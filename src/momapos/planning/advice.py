@@ -47,6 +47,7 @@ from momapos.planning.grasps import hand_path, scene_boxes
 from momapos.verification import PlanVerifier
 
 from .max_opening import MIN_TIMEOUT, by_samples
+from .partial_opening import is_beyond_any_opening
 from .plan import plan_to_value
 from .query import PlacementQuery
 from .result import PlacementResult
@@ -199,7 +200,8 @@ def _changes(
             yield relaxed
     yield from _without_springs(answer, query, trials)
     yield from _with_other_joints(query, " ".join(rejections), trials)
-    for name in objects_in_the_way(answer, query):
+    hindered = query.task.joint is None or not is_beyond_any_opening(answer)
+    for name in objects_in_the_way(answer, query) if hindered else ():
         without = trials.solve(_without(query, name))
         if without is not None:
             move = smallest_move(query, name, without, trials)

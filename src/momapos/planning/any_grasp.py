@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from momapos.planning.grasps import (
 )
 
 from .query import PlacementQuery
-from .result import PlacementResult
+from .result import Answer, PlacementResult
 from .task_setup import PreparedTask, prepare
 from .time_limit import cut_short, unless_late, with_note
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
     from momapos.planning.grasps import Handle
 
-Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 OPENINGS = 4
 """Number of openings that are tried, evenly spaced [-]; the step is about a finger's thickness."""
 MIN_SLACK = 0.016

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from momapos.planning.grasps import task_motion
 
-from .any_grasp import Answer, with_any_grasp
+from .any_grasp import with_any_grasp
 from .moving_base import search_moving
 from .query import PlacementQuery
-from .result import PlacementResult
+from .result import Answer, PlacementResult
 from .search_setup import prepare_search
 from .several_stops import MAX_STOPS, plan_in_stretches
 from .time_limit import with_note

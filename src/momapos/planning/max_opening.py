@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from momapos.verification import meets_floor_at
 
 from .config import PipelineConfig
 from .query import PlacementQuery
-from .result import PlacementResult
+from .result import Answer, PlacementResult
 from .time_limit import cut_short, unless_late, with_note
 
 if TYPE_CHECKING:
@@ -167,7 +167,6 @@ def values_per_waypoint(config: MotionConfig, *, slides: bool) -> int:
     return max(1, math.floor(step + _ROUNDING))
 
 
-Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 _SAME = 1e-9
 """Values that differ by less are the same [rad] or [m]."""
 MIN_TIMEOUT = 0.001

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Clock, OutOfTimeError, Stopwatch, processor_time, time_limit
+from momapos.core import (
+    Clock,
+    OutOfTimeError,
+    Stopwatch,
+    owner_cache,
+    processor_time,
+    time_limit,
+)
+from momapos.model.records import ANYWHERE, PoseOutcome, PoseStatus
 from momapos.planning.grasps import FULL_DOF, slides
 from momapos.verification import meets_floor_at
 
@@ -26,15 +34,13 @@ from .max_opening import (
 )
 from .plan import plan_to_value
 from .query import PlacementQuery
-from .result import PlacementResult
+from .result import Answer, PlacementResult
 from .several_stops import MAX_STOPS, STRETCHES, plan_in_stretches
 from .time_limit import FARTHEST, cut_short, time_left
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-
-Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +236,8 @@ def with_max_opening(answer: PlacementResult, *, clock: Clock = processor_time) 
     best, sure = None, False
     with suppress(OutOfTimeError), time_limit(limit, clock):
         if config.base == "fixed":
-            best, sure = _largest(query, limit)
+            if not is_beyond_any_opening(answer):
+                best, sure = _largest(query, limit)
         else:
             every = reached_by_use(
                 replace(query, config=replace(config, timeout=limit)), answer, _from_one_pose
@@ -248,6 +255,41 @@ def with_max_opening(answer: PlacementResult, *, clock: Clock = processor_time) 
             feasible_sure=sure,
         )
     return replace(answer, plan=plan)
+
+
+def is_beyond_any_opening(answer: PlacementResult) -> bool:
+    """Return whether no base pose moves the part at all, even if nothing else were in the room.
+
+    Other objects only hinder, and a longer motion begins with a shorter one. So neither a smaller
+    value nor a change of other objects helps.
+
+    Args:
+        answer: An infeasible answer about a joint, with its query.
+    """
+    arm = PoseOutcome(PoseStatus.NO_GRASP_IN_REACH).progress
+    assert answer.query is not None
+    return answer.search.progress < arm and _fails_alone(answer.query)
+
+
+@owner_cache(1)
+def _fails_alone(query: PlacementQuery) -> bool:
+    """Return whether the shortest opening fails with no other object in the room."""
+    task, config = query.task, query.config
+    values = values_short_of(query)
+    if not len(values):
+        return False
+    scene = replace(query.scene, objects=(query.scene.object(task.object),), start=None)
+    alone = replace(
+        query,
+        scene=scene,
+        task=replace(task, to=float(values[0]), farthest=False),
+        start=None,
+        region=ANYWHERE,
+        final_check=None,
+        config=replace(config, base="fixed", motion=replace(config.motion, home_again=False)),
+        watch=Stopwatch(query.watch.clock),
+    )
+    return plan_to_value(alone).plan.status == "infeasible"
 
 
 def _largest(query: PlacementQuery, limit: float) -> tuple[PlacementResult | None, bool]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -133,6 +133,10 @@ class PlacementResult:
         with require("view"):
             page = import_module("momapos.apps.web.static")
         page.show(self)
+
+
+Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
+"""Answers a question."""
 
 
 def cheapest(results: Sequence[PlacementResult], *, farthest: bool = False) -> PlacementResult:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,12 +20,11 @@ from momapos.model.scene import stays_in_place
 
 from .max_opening import MIN_TIMEOUT, answer_on_watch, by_samples, last_that_works
 from .query import PlacementQuery
-from .result import PlacementResult
+from .result import Answer, PlacementResult
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
-Answer: TypeAlias = "Callable[[PlacementQuery], PlacementResult]"
 MAX_STOPS = 3
 """Largest number of stops [-]."""
 STRETCHES = 8
