@@ -7,7 +7,7 @@ from the hand alone: those with approach lines on which it is free and the open 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice

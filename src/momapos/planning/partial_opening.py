@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 
-
 @dataclass(frozen=True, eq=False)
 class Reached:
     """How far one use of the base moves a part."""

@@ -7,7 +7,6 @@ task as usual, from a part that stands ajar.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
