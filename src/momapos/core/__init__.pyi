@@ -72,6 +72,8 @@ from .stopwatch import processor_time as processor_time
 from .stopwatch import time_left as time_left
 from .stopwatch import time_limit as time_limit
 from .stopwatch import within_limits as within_limits
+from .threads import blocks_in_threads as blocks_in_threads
+from .threads import in_threads as in_threads
 from .units import ANGLES as ANGLES
 from .units import GRAVITY as GRAVITY
 from .units import LENGTHS as LENGTHS

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,7 +24,7 @@ from momapos.apps.synthetic_scans import (
     render_frame,
     render_world,
 )
-from momapos.core import InputError, require
+from momapos.core import InputError, in_threads, require
 from momapos.core.geometry import invert, pose, pose_planar
 from momapos.model.records import Task
 from momapos.model.robots import Robot
@@ -245,25 +242,12 @@ class Episode:
         return len(self.state)
 
     def images(self) -> Iterator[Mapping[Camera, UInt8[np.ndarray, "h w 3"]]]:
-        """Render the images of all frames in order, with a thread for each processor.
-
-        A bounded number of frames is ahead of the one that is used, because images can be large.
-        """
+        """Render the images of all frames in order, with a thread for each processor."""
         if not self.cameras:
             return
         self.renderer.prepare(self.cameras)
-        threads = max(1, min(MAX_THREADS, os.cpu_count() or 1))
-        ahead: deque[Future[Mapping[Camera, UInt8[np.ndarray, "h w 3"]]]] = deque()
-        with ThreadPoolExecutor(threads) as pool:
-            try:
-                for sample in self.samples:
-                    ahead.append(pool.submit(self.renderer.images, sample, self.cameras))
-                    if len(ahead) > 2 * threads:
-                        yield ahead.popleft().result()
-                while ahead:
-                    yield ahead.popleft().result()
-            finally:  # an interrupt leaves the frames that have not begun
-                pool.shutdown(wait=False, cancel_futures=True)
+        render = partial(self.renderer.images, cameras=self.cameras)
+        yield from in_threads(render, self.samples, MAX_THREADS)
 
 
 def episode_of(

@@ -6,7 +6,6 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
-from momapos.core import InputError, SceneError, require, temporary_folder
+from momapos.core import InputError, SceneError, in_threads, require, temporary_folder
 from momapos.core.geometry import UprightBox, apply, contains, invert, pose, upright_frame
 from momapos.model.records import Frame
 from momapos.model.scene import Scene, SceneObject
@@ -397,6 +396,8 @@ SIZE = (640, 480)
 FOCALS = (525.0, 600.0)
 """Range of focal lengths [px]; each scan draws one."""
 MAX_FRAMES = 10_000
+MAX_THREADS = 4
+"""Maximum number of threads that render [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,12 +427,7 @@ class SyntheticScan:
 
     def frames(self) -> Iterator[Frame]:
         """Render all frames in order, in parallel."""
-        with _pool() as pool:
-            yield from pool.map(self.frame, range(len(self.Ts_scan_camera)))
-
-
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(1, min(4, os.cpu_count() or 1)))
+        yield from in_threads(self.frame, range(len(self.Ts_scan_camera)), MAX_THREADS)
 
 
 def synthetic_scan(
@@ -552,11 +548,10 @@ def write_scan(
         with temporary_folder(folder.parent, folder.name) as partial:
             np.savetxt(partial / "camera-intrinsics.txt", scan.intrinsics)
             (partial / "truth.json").write_text(json.dumps(truth(scan), indent=1) + "\n")
-            with _pool() as pool:
-                jobs = range(len(scan.Ts_scan_camera))
-                written = pool.map(lambda k: _write(scan.frame(k), partial), jobs)
-                for done, _ in enumerate(written, 1):
-                    report(done / len(jobs))
+            jobs = range(len(scan.Ts_scan_camera))
+            written = in_threads(lambda k: _write(scan.frame(k), partial), jobs, MAX_THREADS)
+            for done, _ in enumerate(written, 1):
+                report(done / len(jobs))
             os.replace(partial, folder)
     except OSError as error:
         raise SceneError(f"{folder}: cannot be written ({error.strerror})") from error

@@ -8,13 +8,12 @@ relative to the cell, the logarithm of its size, the objectness, and the class s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import FileFormatError, InputError, read_bytes_bounded, require
+from momapos.core import FileFormatError, InputError, in_threads, read_bytes_bounded, require
 from momapos.model.records import Detector, Frame, ImageDetection
 
 from .coco import COCO80, LABELS, label_of_class
@@ -222,8 +221,7 @@ def detect(frames: Sequence[Frame], detector: Detector) -> dict[str, list[ImageD
             for item in detector(np.ascontiguousarray(np.rot90(frame.color, turns)))
         ]
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        results = list(pool.map(look, frames))
+    results = in_threads(look, frames)
     return {frame.name: result for frame, result in zip(frames, results, strict=True)}
 
 

@@ -7,14 +7,13 @@ import math
 import struct
 import zlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
-from momapos.core import FileFormatError, whole_number
+from momapos.core import FileFormatError, in_threads, whole_number
 
 from .validation import evenly_spaced
 
@@ -235,8 +234,7 @@ def choose(
         return middles
     few = [[one[k] for k in evenly_spaced(len(one), CANDIDATES)] for one in stretches]
     among = [index for stretch in few for index in stretch]
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        sharp = dict(zip(among, pool.map(sharpness, among), strict=True))
+    sharp = dict(zip(among, in_threads(sharpness, among), strict=True))
     return [max(stretch, key=lambda index: sharp[index]) for stretch in few]
 
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from momapos.core import FileFormatError, read_bytes_bounded, resolved
+from momapos.core import FileFormatError, in_threads, read_bytes_bounded, resolved
 from momapos.model.records import Frame
 
 from .images import (
@@ -43,6 +42,8 @@ if TYPE_CHECKING:
 MAX_FILES = 2_000_000
 """Maximum number of files in the folder of a scan [-]."""
 MAX_FRAMES_LISTED = 100_000
+MAX_READERS = 32
+"""Maximum number of threads that read images [-]."""
 MAX_TEXT_BYTES = 10_000
 MILLIMETERS = 1000.0
 SEVEN_SCENES_INTRINSICS = np.array([[585.0, 0, 320], [0, 585.0, 240], [0, 0, 1]])
@@ -123,19 +124,19 @@ def read_frames(
     poses = np.array([T for _, T in posed]).reshape(-1, 4, 4)
     sharpness = sharpness_of([files.color for files, _ in posed])
     chosen = [posed[i] for i in choose(poses, max_frames, sharpness)]
-    with ThreadPoolExecutor() as pool:
-        sizes = _collect(pool.map(_attempt(_sizes), [files for files, _ in chosen]), skips)
-        kept = keep_common_size(sizes, skips, where)
-        skips.refuse_none_left(len(kept), where)
-        color_size, depth_size = sizes[kept[0]]
-        check_memory(len(kept), int(np.prod(np.maximum(color_size, depth_size or (0, 0)))), where)
-        K = _common_intrinsics(layout, color_size, depth_size)
+    files = [files for files, _ in chosen]
+    sizes = _collect(in_threads(_attempt(_sizes), files, MAX_READERS), skips)
+    kept = keep_common_size(sizes, skips, where)
+    skips.refuse_none_left(len(kept), where)
+    color_size, depth_size = sizes[kept[0]]
+    check_memory(len(kept), int(np.prod(np.maximum(color_size, depth_size or (0, 0)))), where)
+    K = _common_intrinsics(layout, color_size, depth_size)
 
-        def read(index: int) -> Frame:
-            files, T_world_camera = chosen[index]
-            return _read_frame(files, T_world_camera, layout.K_color, K, scale)
+    def read(index: int) -> Frame:
+        files, T_world_camera = chosen[index]
+        return _read_frame(files, T_world_camera, layout.K_color, K, scale)
 
-        frames = tuple(_collect(pool.map(_attempt(read), kept), skips).values())
+    frames = tuple(_collect(in_threads(_attempt(read), kept, MAX_READERS), skips).values())
     skips.refuse_none_left(len(frames), where)
     return frames, skips.warnings()
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from momapos.core import RobotError
+from momapos.core import RobotError, blocks_in_threads
 from momapos.model.collision import Spheres
 from momapos.model.kinematics import (
     ArmArrays,
@@ -39,9 +39,8 @@ from .map_kernels import (
     line_masks,
     standing_table,
 )
-from .reach_map import MAX_VALUES, ReachConfig, ReachMap
+from .reach_map import MAX_VALUES, Progress, ReachConfig, ReachMap, silent
 from .signed_distance import close_seam, deepen, near_signed_distances, nearby, uneven_edges
-from .threads import Progress, in_threads, silent
 
 Samples = tuple[IkArrays, ShoulderSamples]
 MAX_SAMPLES = 100_000
@@ -221,7 +220,7 @@ def build_map(
     def distances(lo: int, hi: int) -> None:
         near_signed_distances(lo, hi, masks, packed, rows, interior, values)
 
-    in_threads(distances, len(points), 32 * BLOCK)
+    blocks_in_threads(distances, len(points), 32 * BLOCK)
     grid = values.reshape(shape)
     close_seam(grid)
     deepen(grid.reshape(-1), packed)
@@ -322,7 +321,7 @@ class _Evaluator:
         def block(lo: int, hi: int) -> None:
             line_masks(lines[lo:hi], wanted[lo:hi], *fixed, masks[lo:hi])
 
-        in_threads(
+        blocks_in_threads(
             block, len(lines), BLOCK, lambda share: self.progress(begin + share * (end - begin))
         )
         return masks

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import blocks_in_threads
 from momapos.model.collision import KNOWN
 from momapos.model.kinematics import (
     Chain,
@@ -43,9 +44,8 @@ from .aim import (
 )
 from .arm_axes import FULL_TURN, ArmAxes
 from .grid import FIRST_TURN, STORED_TURNS, TURNS, GridShape, pack_shape
-from .reach_map import ReachConfig, ReachMap
+from .reach_map import Progress, ReachConfig, ReachMap
 from .signed_distance import close_seam, deepen, flood_signed_distances
-from .threads import Progress, in_threads
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int, Int8, UInt64
@@ -193,7 +193,7 @@ def between(
 
 
 def _in_parts(work: Callable[[int, int], None], count: int) -> None:
-    in_threads(work, count, max(_MIN_PART, count // _PARTS))
+    blocks_in_threads(work, count, max(_MIN_PART, count // _PARTS))
 
 
 _EACH = TURNS // STORED_TURNS

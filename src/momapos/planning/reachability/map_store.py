@@ -35,8 +35,7 @@ from .arm_axes import arm_frame, is_flooded, no_map
 from .construct import build_map, default_config
 from .flood import FLOOD_VERSION
 from .grid import DEPTH, OUTSIDE, STEPS
-from .reach_map import MAX_VALUES, ReachConfig, ReachMap
-from .threads import Progress, silent
+from .reach_map import MAX_VALUES, Progress, ReachConfig, ReachMap, silent
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int8

@@ -8,6 +8,7 @@ together. A base at some yaw then interpolates between the lattice points around
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -37,8 +38,14 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int, Int8
 
 
+Progress = Callable[[float], None]
+"""Callback for the completed share, in [0, 1]."""
 SPACING = 0.06
 """Spacing of the lattice [m]; the map's cell if that is larger."""
+
+
+def silent(_share: float) -> None:
+    """Report no progress."""
 
 
 class FloorGrid(NamedTuple):
