@@ -20,7 +20,9 @@ from .ik import (
     SEED_LENGTH,
     IkModel,
     arm_arrays,
+    factor_spd,
     ik_scratch,
+    insert_nearest,
     jacobian,
     nearest_seeds,
     rotation_error,
@@ -129,11 +131,8 @@ def _solve_step(damping, scratch):
         n = A.shape[1]
         for i in range(n):
             A[m, i, i] += damping
-            for j in range(i + 1):
-                v = A[m, i, j]
-                for k in range(j):
-                    v -= A[m, i, k] * A[m, j, k]
-                A[m, i, j] = np.sqrt(max(v, 1e-18)) if i == j else v / A[m, j, j]
+        factor_spd(A[m])
+        for i in range(n):
             for a in range(4):
                 for k in range(i):
                     B[m, i, a] -= A[m, i, k] * B[m, k, a]
@@ -194,14 +193,6 @@ def _fit_scratch(arm, w):
     return newton, R_to, p_to, A, B, S, g
 
 
-@kernel
-def _begin(q, seed):
-    """Let all states start at the same seed."""
-    for m in range(len(q)):
-        for k in range(q.shape[1]):
-            q[m, k] = seed[k]
-
-
 @entry
 def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -> None:
     """Fill `moved` (k, 3) and `met` (k,), see `fit_bases`."""
@@ -216,7 +207,7 @@ def _fit(bases: F2, poses: F3, tries: int, arm: ArmArrays, moved: F2, met: B1) -
         nearest_seeds(R_to, p_to, arm.ik, order, distance)
         for t in range(tries):
             base[:] = bases[i]
-            _begin(q, seeds[order[t]])
+            q[:] = seeds[order[t]]
             if not _meet(base, q, poses, arm, scratch):
                 continue
             away = 0.0
@@ -238,13 +229,8 @@ def _nearest_upright(T, ik, order, distance):
         if s >= distance[most - 1]:
             continue
         s += (poses[i, 5] - T[2, 0]) ** 2 + (poses[i, 8] - T[2, 1]) ** 2
-        if s >= distance[most - 1]:
-            continue
-        j = most - 1
-        while j > 0 and distance[j - 1] > s:
-            distance[j], order[j] = distance[j - 1], order[j - 1]
-            j -= 1
-        distance[j], order[j] = s, i
+        if s < distance[most - 1]:
+            insert_nearest(i, s, order, distance)
 
 
 @kernel
@@ -273,7 +259,7 @@ def _meets_somewhere(poses: F3, count: int, arm: ArmArrays) -> bool:
         _nearest_upright(poses[m], ik, order, distance)
         for t in range(count):
             _stand(base, poses[m], ik.seed_poses[order[t]])
-            _begin(q, ik.seeds[order[t]])
+            q[:] = ik.seeds[order[t]]
             if _meet(base, q, poses, arm, scratch):
                 return True
     return False

@@ -387,15 +387,21 @@ def _numeric(chain: Chain) -> IkModel:
 
 
 @kernel
-def solve_spd(A, b):
-    """Solve A x = b in place for a small positive definite A (Cholesky)."""
-    n = len(b)
-    for i in range(n):
+def factor_spd(A):
+    """Replace the lower triangle of a small positive definite A by its Cholesky factor."""
+    for i in range(len(A)):
         for j in range(i + 1):
             s = A[i, j]
             for k in range(j):
                 s -= A[i, k] * A[j, k]
             A[i, j] = np.sqrt(max(s, 1e-18)) if i == j else s / A[j, j]
+
+
+@kernel
+def solve_spd(A, b):
+    """Solve A x = b in place for a small positive definite A."""
+    n = len(b)
+    factor_spd(A)
     for i in range(n):
         for k in range(i):
             b[i] -= A[i, k] * b[k]
@@ -712,6 +718,16 @@ def _branches(s, R_target, p_target, ik, branches, R06):
 
 
 @kernel
+def insert_nearest(i, s, order, distance):
+    """Insert item i of a distance s into sorted items, all but the last of which remain."""
+    j = len(order) - 1
+    while j > 0 and distance[j - 1] > s:
+        distance[j], order[j] = distance[j - 1], order[j - 1]
+        j -= 1
+    distance[j], order[j] = s, i
+
+
+@kernel
 def nearest_seeds(R, p, ik, order, distance):
     """Fill `order` with the seeds that have the nearest tool poses, nearest first."""
     poses, most = ik.seed_poses, len(order)
@@ -727,13 +743,8 @@ def nearest_seeds(R, p, ik, order, distance):
         for k in range(3):
             d, e = poses[i, 3 + k] - R[k, 0], poses[i, 6 + k] - R[k, 1]
             s += d * d + e * e
-        j = most - 1
-        if s >= distance[j]:
-            continue
-        while j > 0 and distance[j - 1] > s:
-            distance[j], order[j] = distance[j - 1], order[j - 1]
-            j -= 1
-        distance[j], order[j] = s, i
+        if s < distance[most - 1]:
+            insert_nearest(i, s, order, distance)
 
 
 @kernel
