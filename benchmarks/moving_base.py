@@ -46,7 +46,8 @@ from placement import SCENES, Opening, arm, machine, openings, scene_of, shared
 from rows import commands, markdown
 
 USES: tuple[BaseUse, ...] = ("fixed", "stops", "moving")
-"""What is asked, each where the first fails; the lattice's uses of these names bound them."""
+"""Uses of the base, each tried where the first fails; the lattice's uses of these names bound
+them."""
 LIBRARY = (
     "fetch", "husky_ur5e", "mobile_panda", "ranger_rm63", "segway_ur5e", "tiago", "tiago_dual",
 )  # fmt: skip
@@ -63,7 +64,7 @@ class Asker:
 
     folder: Path
     until: float
-    """Time after which nothing is asked [s, as `time.time`]."""
+    """Time after which no other task begins [s, as `time.time`]."""
     bound_all: bool
     """Whether the lattice also bounds openings that one base pose solves."""
     scenes: dict[str, Scene]
@@ -201,7 +202,7 @@ def ask(
         robots: Robots of the library.
         sample: Number of random openings of each robot; 0 for all.
         processes: Number of processes; set OMP_NUM_THREADS=1, so that each has one thread.
-        seconds: Time after which nothing is asked [s].
+        seconds: Time after which no other task begins [s].
         bound_all: Bound openings that one base pose solves, too.
     """
     print(machine())
@@ -254,7 +255,7 @@ def table(folder: Path) -> None:
 def _counts(rows: list[Row]) -> list[Any]:
     """Return the cells of a line of the table."""
     solved = {use: [row["answers"].get(use) == "solved" for row in rows] for use in USES}
-    # Other uses are asked only where one base pose does not do.
+    # Other uses are tried only where one base pose does not do.
     cells: list[Any] = [int(np.sum(np.array(solved[u]) | np.array(solved["fixed"]))) for u in USES]
     does = np.any([solved[use] for use in USES], axis=0)
     for use in ("fixed", "moving", "turning", "any"):
@@ -388,7 +389,7 @@ def fridges(
         robot: Robot of the suite.
         base: Use of the base.
         timeout: Time limit of a tour [s].
-        every: Of how many objects one is asked.
+        every: Of how many objects one is tried.
         close: Close the fridge afterwards.
     """
     print(machine())

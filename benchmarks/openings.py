@@ -47,7 +47,7 @@ from placement import ROBOTS, arm, machine
 from rows import commands, emit, keep_rows, markdown
 
 NEXT = 3
-"""Values right after the stated one that are always asked for [-]."""
+"""Values right after the stated one that are always tried [-]."""
 
 
 def farthest(
@@ -84,9 +84,9 @@ def farthest(
         mine = [row for row in rows if (row["set"], row["robot"]) == (one, robot)]
         no = [row for row in mine if row["status"] == "infeasible"]
         stated, sure = sum(row["stated"] is not None for row in no), sum(row["sure"] for row in no)
-        beyond, solved = (sum(len(row[key]) for row in no) for key in ("asked", "solved"))
+        beyond, solved = (sum(len(row[key]) for row in no) for key in ("queried", "solved"))
         lines.append((one, robot, len(mine), len(no), stated, sure, beyond, solved))
-    head = ("set", "robot", "openings", "infeasible", "stated", "sure", "asked beyond",
+    head = ("set", "robot", "openings", "infeasible", "stated", "sure", "tried beyond",
             "solved there")  # fmt: skip
     print(f"machine: {machine()}", markdown(head, lines), sep="\n")
     keep_rows(rows, out, "farthest")
@@ -100,7 +100,13 @@ def _beyond(name: str, scene: Scene, joint: str, count: int | None, seed: int) -
     begun = time.process_time()
     answer = plan_base_placement(scene, robot, task, reach, config=CONFIG, seed=seed)
     between = time.process_time()
-    row = {"status": answer.plan.status, "goal": task.to, "stated": None, "asked": (), "solved": ()}
+    row = {
+        "status": answer.plan.status,
+        "goal": task.to,
+        "stated": None,
+        "queried": (),
+        "solved": (),
+    }
     if answer.plan.status != "infeasible":
         return {**row, "seconds": (between - begun, 0.0)}
     plan = with_max_opening(answer).plan
@@ -118,7 +124,7 @@ def _beyond(name: str, scene: Scene, joint: str, count: int | None, seed: int) -
         solved += [to] if found.plan.status == "solved" else []
     return {
         **row, "stated": plan.feasible_to, "sure": bool(plan.feasible_sure),
-        "asked": values.tolist(), "solved": solved, "seconds": seconds,
+        "queried": values.tolist(), "solved": solved, "seconds": seconds,
     }  # fmt: skip
 
 
@@ -227,7 +233,7 @@ USES: dict[str, BaseUse] = {
 }
 BASES: tuple[BaseUse, ...] = ("fixed", "auto")
 AHEAD = (1, 3)
-"""Degrees or centimeters beyond a stated maximum that are asked for [-]."""
+"""Degrees or centimeters beyond a stated maximum that are tried [-]."""
 
 
 class Asker:
@@ -315,7 +321,7 @@ class Asker:
             beyond = float(to + ahead * step)
             if abs(beyond - to) < abs(task.to - to):
                 found = self.ask(replace(task, to=beyond))
-                words = f"feasible to {to:.3f} at most, asked for {beyond:.3f}"
+                words = f"feasible to {to:.3f} at most, but {beyond:.3f}"
                 self.claim("beyond the largest value", words, found, solved=False)
 
     def check_advice(self, task: Task, answer: PlacementResult) -> None:
@@ -367,12 +373,11 @@ def statements(
 ) -> None:  # fmt: skip
     """Ask directly what answers state: how far parts open, from which uses of the base, and advice.
 
-    The rooms are the built-in kitchens and generated ones. Each opening is asked with a base that
-    stands still and with one that may stop several times or move. Every statement of the answer, as
-    printed, is then asked directly with the same seed: a value that is said to be reached must have
-    a plan, one that is said to have none must have none, advice must lead to a plan from the stated
-    base pose, and none may exist from the nearest miss. Answers that the time limit ended are left
-    out.
+    The rooms are the built-in kitchens and generated ones. Each opening is planned with a base that
+    stands still and with one that may stop several times or move. Every statement of the answer is
+    then planned directly with the same seed: a value stated as reached must have a plan, one stated
+    as infeasible must have none, advice must lead to a plan from the stated base pose, and none may
+    exist from the nearest miss. Answers that the time limit ended are left out.
 
     Args:
         robots: Robots of the library.
@@ -413,7 +418,9 @@ def statements(
             keep_rows(rows, out, "statements")
     lines = [(kind, count, wrong[kind]) for kind, count in sorted(counts.items())]
     print(
-        f"machine: {machine()}", markdown(("statement", "asked directly", "wrong"), lines), sep="\n"
+        f"machine: {machine()}",
+        markdown(("statement", "planned directly", "wrong"), lines),
+        sep="\n",
     )
     print(f"openings: {dict(Counter(row['status'] for row in rows))}")
 

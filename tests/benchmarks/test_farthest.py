@@ -32,5 +32,5 @@ def test_no_shared_object_opens_beyond_its_stated_maximum(tmp_path: Path) -> Non
     assert {row["robot"] for row in rows} == {"fetch", "segway_ur5e", "husky_ur5e", "ranger_rm63"}
     stated = [row for row in rows if row.get("stated") is not None]
     assert len(stated) > 4
-    assert all(len(row["asked"]) > 3 for row in stated)
+    assert all(len(row["queried"]) > 3 for row in stated)
     assert [row for row in rows if row.get("solved")] == []

@@ -125,7 +125,7 @@ def test_threads_that_ask_at_once_get_one_result() -> None:
     barrier = Barrier(4)
 
     @owner_cache()
-    def slow(_thing: Owner) -> Result:
+    def slow(_owner: Owner) -> Result:
         barrier.wait(10.0)
         return Result()
 

@@ -350,11 +350,11 @@ def test_a_room_that_is_too_large_for_a_grid_is_rejected(room: Path, case: str) 
 
 
 def test_a_room_with_a_thousand_objects_can_be_used(room: Path) -> None:
-    things = [
+    objects = [
         {"name": f"b{i}", "pose": {"xyz": [1.5 * (i % 32), 1.5 * (i // 32), 1]}, "box": [1, 1, 2]}
         for i in range(1000)
     ]
-    path = scene(room, objects=things, floor=[[-1, -1], [48, -1], [48, 48], [-1, 48]])
+    path = scene(room, objects=objects, floor=[[-1, -1], [48, -1], [48, 48], [-1, 48]])
     assert len(load_scene(path).objects) == 1000
 
 

@@ -36,7 +36,7 @@ def frames() -> list[Frame]:
 
 
 @pytest.fixture(scope="module")
-def thing(frames: list[Frame]) -> tuple[Detection, Cloud]:
+def unlabeled(frames: list[Frame]) -> tuple[Detection, Cloud]:
     v, u = np.nonzero(frames[0].depth)
     z = frames[0].depth[v, u].astype(float)
     rays = np.linalg.solve(frames[0].intrinsics, np.stack([u, v, np.ones(len(u))]))
@@ -53,16 +53,21 @@ def thing(frames: list[Frame]) -> tuple[Detection, Cloud]:
     [("bed", False, "bed"), ("bed", True, "cabinet"), ("fridge", True, "fridge")],
 )
 def test_furniture_with_handles_is_not_a_bed(
-    frames: list[Frame], thing: tuple[Detection, Cloud], label: str, *, handles: bool, called: str
+    frames: list[Frame],
+    unlabeled: tuple[Detection, Cloud],
+    label: str,
+    *,
+    handles: bool,
+    called: str,
 ) -> None:
-    item, cloud = thing
+    item, cloud = unlabeled
     found = {frame.name: [whole(frame, label)] for frame in frames}
-    asked = []
+    looked_at = []
 
     def opens(item: Detection) -> bool:
-        asked.append(item)
+        looked_at.append(item)
         return handles
 
     (named,) = with_labels([item], cloud, frames, found, LABELS, None, opens)
     assert (named.label, named.name) == (called, f"{called}_1")
-    assert len(asked) == (label == "bed")
+    assert len(looked_at) == (label == "bed")

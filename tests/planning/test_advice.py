@@ -60,7 +60,7 @@ def room(tmp_path: Path) -> Scene:
     return save_scene(cupboard_with(tmp_path, vase, crate), tmp_path / "scene.json")
 
 
-def asked(
+def advised(
     scene: Scene, robot: Robot, *task: str, region: BaseRegion | None = None
 ) -> tuple[PlacementResult, str]:
     """Return the infeasible answer and its advice, without a time limit for the trials."""
@@ -99,7 +99,7 @@ def works_as_stated(query: PlacementQuery, scene: Scene, advice: str) -> bool:
 def test_the_object_that_keeps_the_robot_away_is_named(
     room: Scene, tmp_path: Path, fetch: Robot
 ) -> None:
-    answer, advice = asked(room, fetch)
+    answer, advice = advised(room, fetch)
     assert set(objects_in_the_way(answer, answer.query)) == {"vase", "crate"}
     assert advice.startswith("feasible without crate, from (")
     empty = replace(room, objects=tuple(one for one in room.objects if one.name != "crate"))
@@ -117,7 +117,7 @@ def test_an_object_that_can_be_moved_is_moved_as_little_as_needed(
     if fence:
         others.append(SceneObject.box("fence", (0.7, 0.1, 1.0), (0.15, 0.6, 0.5), category="wall"))
     scene = cupboard_with(tmp_path, *others)
-    answer, advice = asked(scene, fetch)
+    answer, advice = advised(scene, fetch)
     found = re.match(r"feasible with chair moved (\d+) cm, by \((\S+), (\S+)\), from", advice)
     distance, offset = int(found[1]) / 100, np.array([float(found[2]), float(found[3])])
     assert np.linalg.norm(offset) == pytest.approx(distance, abs=0.008)
@@ -174,7 +174,7 @@ def test_an_open_door_in_the_way_is_closed(tmp_path: Path, fetch: Robot) -> None
         .urdf.path or "", (0.25, 0.95, 0.0), yaw=np.pi / 2, joints={"hinge": 1.4},
         category="cabinet",
     )  # fmt: skip
-    _, advice = asked(cupboard_with(tmp_path, second), fetch)
+    _, advice = advised(cupboard_with(tmp_path, second), fetch)
     assert advice.startswith("feasible with closet/hinge at 0 deg, from (")
 
 
@@ -197,7 +197,7 @@ def test_a_closed_door_around_the_object_is_opened(
     cupboard = replace(cupboard, T_world_object=raised)
     mug = SceneObject.box("mug", (0.06, 0.06, 0.1), (0.7, 0.0, 0.57))
     scene = Scene("room", (cupboard, mug), start=np.array([-1.5, 0.0, 0.0]))
-    _, advice = asked(scene, fetch, "pick", "mug")
+    _, advice = advised(scene, fetch, "pick", "mug")
     assert advice.startswith("feasible with cupboard/hinge at 92 deg, from (")
 
 
@@ -205,7 +205,7 @@ def test_a_keep_in_area_is_widened_as_far_as_the_stated_pose(tmp_path: Path, seg
     scene = cupboard_with(tmp_path)
     area = ((-3.5, -1.0), (-0.5, -1.0), (-0.5, 1.0), (-3.5, 1.0))
     scene = replace(scene, areas={"lobby": area})
-    _, advice = asked(scene, segway, region=BaseRegion(keep_in=(area,)))
+    _, advice = advised(scene, segway, region=BaseRegion(keep_in=(area,)))
     found = re.match(r"feasible with the keep-in area 'lobby' widened by (\d+) cm", advice)
     points = place_points(base_pose(advice), segway.footprint)[0]
     polygon = np.array(area)
@@ -216,20 +216,20 @@ def test_a_keep_in_area_is_widened_as_far_as_the_stated_pose(tmp_path: Path, seg
 
 def test_a_far_keep_in_area_is_left(tmp_path: Path, fetch: Robot) -> None:
     far = BaseRegion(keep_in=(((-9.0, -9.0), (-7.0, -9.0), (-7.0, -7.0)),))
-    _, advice = asked(cupboard_with(tmp_path), fetch, region=far)
+    _, advice = advised(cupboard_with(tmp_path), fetch, region=far)
     assert advice.startswith("feasible outside the keep-in area around (-7.67, -8.33), from (")
 
 
 def test_the_keep_out_area_that_matters_is_named(tmp_path: Path, fetch: Robot) -> None:
     here = ((-1.5, -2.0), (1.0, -2.0), (1.0, 2.0), (-1.5, 2.0))
     region = BaseRegion(keep_out=(((-5.0, -5.0), (-4.0, -5.0), (-4.0, -4.0)), here))
-    _, advice = asked(cupboard_with(tmp_path), fetch, region=region)
+    _, advice = advised(cupboard_with(tmp_path), fetch, region=region)
     assert advice.startswith("feasible without the keep-out area around (-0.25, 0.00), from (")
 
 
 def test_a_longer_drive_is_stated(tmp_path: Path, fetch: Robot) -> None:
     scene = cupboard_with(tmp_path)
-    _, advice = asked(scene, fetch, region=BaseRegion(most_driving=0.8))
+    _, advice = advised(scene, fetch, region=BaseRegion(most_driving=0.8))
     found = re.match(r"feasible with a drive of up to (\S+) m, from", advice)
     straight = np.linalg.norm(base_pose(advice)[0, :2] - [-2.5, 0.0])
     assert 0.8 < straight <= float(found[1]) + 0.1
@@ -251,7 +251,7 @@ def test_solved_answers_and_late_trials_get_no_advice(room: Scene, fetch: Robot)
     assert with_advice(solved) is solved
 
 
-def test_the_command_prints_the_advice_unless_told_not_to(room: Scene) -> None:
+def test_the_command_prints_the_advice_unless_an_option_omits_it(room: Scene) -> None:
     words = ["place", "open", str(room.path), "cupboard", "--robot", "fetch"]
     assert "\n  advice      feasible without crate, from (" in output_of(*words, status=3)
     assert "advice" not in output_of(*words, "--no-advice", status=3)

@@ -79,9 +79,9 @@ def test_a_limited_number_of_grasps_is_not_exceeded_with_a_hand_that_is_less_ope
     grasps = replace(query.config.motion.grasps, count=1)
     motion = replace(query.config.motion, grasps=grasps)
     limited = replace(query, config=replace(query.config, motion=motion))
-    for asked, some in ((query, True), (limited, False)):
-        ready = prepare(query.scene, query.robot, query.task, asked.config, clearance=0.01)
-        assert any(narrower_hands(asked, ready)) == some
+    for given, some in ((query, True), (limited, False)):
+        ready = prepare(query.scene, query.robot, query.task, given.config, clearance=0.01)
+        assert any(narrower_hands(given, ready)) == some
 
 
 def test_a_handle_without_room_is_held_by_a_hand_that_is_less_open(solved: PlacementResult) -> None:

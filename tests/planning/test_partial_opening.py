@@ -135,12 +135,10 @@ def test_no_value_that_is_solved_directly_is_beyond_the_largest_one_found(
     thorough = rng.random(len(values)) < np.where(np.arange(len(values)) < end // 2, 1.0, 0.2)
     sampled = thorough & (rng.random(len(values)) < 0.7)
     blocked = np.arange(len(values)) >= end
-    asked: list[float] = []
 
     def answer(query: PlacementQuery) -> Any:
         index = int(np.abs(values - query.task.to).argmin())
         works = (thorough if query.config.place.grid else sampled)[index] and not blocked[index]
-        asked.append(query.task.to)
         plan = SimpleNamespace(feasible=works, task=query.task)
         prepared = SimpleNamespace(blocked="a wall" if blocked[index] else "")
         return SimpleNamespace(plan=plan, prepared=prepared)

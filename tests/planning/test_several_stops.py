@@ -32,13 +32,13 @@ def question() -> PlacementQuery:
     return PlacementQuery.of(scene, robot, task, clock=time.process_time)
 
 
-def limited(longest: float, asked: list[tuple[float, float]]) -> object:
+def limited(longest: float, stretches: list[tuple[float, float]]) -> object:
     """Return a planner that refuses longer stretches, as a short arm would."""
 
     def answer(query: PlacementQuery) -> PlacementResult:
         task = query.task
         now = query.scene.object(task.object).values()[task.joint]
-        asked.append((now, task.to))
+        stretches.append((now, task.to))
         found = plan_to_value(query)
         if abs(task.to - now) <= longest:
             return found
@@ -49,11 +49,11 @@ def limited(longest: float, asked: list[tuple[float, float]]) -> object:
 
 @pytest.fixture(scope="module")
 def stops() -> tuple[PlacementQuery, PlacementResult, list[tuple[float, float]]]:
-    asked: list[tuple[float, float]] = []
-    query, answer = question(), limited(LONGEST, asked)
+    stretches: list[tuple[float, float]] = []
+    query, answer = question(), limited(LONGEST, stretches)
     query = replace(query, config=replace(query.config, base="stops"))
     found = with_other_use(query, answer(query), answer)  # type: ignore[operator, arg-type]
-    return query, found, asked
+    return query, found, stretches
 
 
 def test_two_stops_move_the_part_all_the_way_and_the_file_is_valid(
@@ -106,11 +106,11 @@ def test_the_base_drives_only_while_the_hand_is_free_and_the_part_rests(
 
 
 def test_a_part_that_needs_more_than_three_stops_has_no_answer() -> None:
-    asked: list[tuple[float, float]] = []
-    query, answer = question(), limited(0.06, asked)
+    stretches: list[tuple[float, float]] = []
+    query, answer = question(), limited(0.06, stretches)
     found = plan_in_stretches(query, answer(query), answer)  # type: ignore[operator, arg-type]
     assert found.answer is None
-    assert len({now for now, _ in asked}) == MAX_STOPS
+    assert len({now for now, _ in stretches}) == MAX_STOPS
 
 
 def test_a_task_that_one_base_pose_serves_is_answered_with_it() -> None:

@@ -1,4 +1,4 @@
-"""The node over DDS, asked by a client, with stand-ins for Nav2 and the robot's controllers."""
+"""The node over DDS, called by a client, with stand-ins for Nav2 and the robot's controllers."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Robot:
     blocked: bool = False
     """Whether the base finds no way."""
     stuck: bool = False
-    """Whether the base drives until it is told to stop."""
+    """Whether the base drives until it is stopped."""
     drives: threading.Event = field(default_factory=threading.Event)
     """Set where it begins to drive."""
-    told: threading.Event = field(default_factory=threading.Event)
-    """Set where it is told to stop."""
+    stopped: threading.Event = field(default_factory=threading.Event)
+    """Set where it is stopped."""
 
     def drive(self, handle: Any) -> Any:
         from nav2_msgs.action import NavigateToPose
@@ -53,7 +53,7 @@ class Robot:
             return result
         self.drives.set()
         if self.stuck:
-            self.told.wait(PATIENCE)
+            self.stopped.wait(PATIENCE)
             handle.canceled()
             return result
         feedback = NavigateToPose.Feedback(current_pose=deepcopy(handle.request.pose))
@@ -65,7 +65,7 @@ class Robot:
     def stop(self, _: Any) -> Any:
         from rclpy.action import CancelResponse
 
-        self.told.set()
+        self.stopped.set()
         return CancelResponse.ACCEPT
 
     def move(self, handle: Any) -> Any:
@@ -140,10 +140,10 @@ def wait(future: Any) -> Any:
 
 
 def do(ros: SimpleNamespace, **question: str) -> tuple[Any, list[str]]:
-    """The result of the action, and the stages that it told."""
+    """The result of the action, and the stages that it reported."""
     stages: list[str] = []
     goal = ros.goal(**question)
-    sent = ros.action.send_goal_async(goal, lambda told: stages.append(told.feedback.stage))
+    sent = ros.action.send_goal_async(goal, lambda sent: stages.append(sent.feedback.stage))
     return wait(wait(sent).get_result_async()).result, stages
 
 
@@ -153,25 +153,25 @@ def test_the_service_gives_the_answer_of_the_library(ros: SimpleNamespace) -> No
     task = momapos.make_task(scene, "open", *QUESTION["target"].split("/"))
     result = momapos.plan_base_placement(scene, robot, task)
     plan = result.plan
-    told = wait(ros.service.call_async(ros.request(**QUESTION)))
-    assert told.status == plan.status == "solved"
-    assert told.message.endswith(f"; tolerance {result.tolerance}")
-    position, turn = told.base_pose.pose.position, told.base_pose.pose.orientation
+    response = wait(ros.service.call_async(ros.request(**QUESTION)))
+    assert response.status == plan.status == "solved"
+    assert response.message.endswith(f"; tolerance {result.tolerance}")
+    position, turn = response.base_pose.pose.position, response.base_pose.pose.orientation
     yaw = 2 * np.arctan2(turn.z, turn.w)
     np.testing.assert_allclose((position.x, position.y, yaw), plan.base_pose, atol=1e-9)
-    assert told.base_pose.header.frame_id == told.path.header.frame_id == "map"
-    end = told.path.poses[-1].pose.position
+    assert response.base_pose.header.frame_id == response.path.header.frame_id == "map"
+    end = response.path.poses[-1].pose.position
     assert (end.x, end.y) == pytest.approx((position.x, position.y), abs=1e-6)
-    assert told.phases.count("arm") == len(told.trajectories) >= 2
-    assert told.phases.index("close_gripper") < told.phases.index("open_gripper")
-    for trajectory in told.trajectories:
+    assert response.phases.count("arm") == len(response.trajectories) >= 2
+    assert response.phases.index("close_gripper") < response.phases.index("open_gripper")
+    for trajectory in response.trajectories:
         assert trajectory.joint_names == list(plan.joints)
         times = [
             p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in trajectory.points
         ]
         assert np.all(np.diff(times) > 0)
-    np.testing.assert_allclose(told.trajectories[0].points[0].positions, robot.home, atol=1e-9)
-    for before, after in zip(told.trajectories, told.trajectories[1:], strict=False):
+    np.testing.assert_allclose(response.trajectories[0].points[0].positions, robot.home, atol=1e-9)
+    for before, after in zip(response.trajectories, response.trajectories[1:], strict=False):
         np.testing.assert_allclose(
             before.points[-1].positions, after.points[0].positions, atol=1e-6
         )
@@ -183,26 +183,26 @@ def test_a_request_says_where_the_base_is_and_how_far_the_part_goes(ros: SimpleN
     start = PoseStamped()
     start.pose.position.x, start.pose.position.y = 2.0, -1.7
     start.pose.orientation.z, start.pose.orientation.w = np.sin(0.4), np.cos(0.4)
-    told = wait(ros.service.call_async(ros.request(**QUESTION, to="20cm", start=[start])))
-    assert told.status == "solved", told.message
-    first = told.path.poses[0].pose
+    response = wait(ros.service.call_async(ros.request(**QUESTION, to="20cm", start=[start])))
+    assert response.status == "solved", response.message
+    first = response.path.poses[0].pose
     assert (first.position.x, first.position.y) == pytest.approx((2.0, -1.7))
     assert first.orientation.z == pytest.approx(np.sin(0.4))
     scene, robot = momapos.load_scene(QUESTION["scene"]), momapos.load_robot(QUESTION["robot"])
     task = momapos.make_task(scene, "open", *QUESTION["target"].split("/"), "20cm")
     plan = momapos.plan_base_placement(scene, robot, task, start=np.array([2.0, -1.7, 0.8])).plan
-    last = told.trajectories[-1].points[-1].positions
+    last = response.trajectories[-1].points[-1].positions
     np.testing.assert_allclose(last, plan.motion.q[-1], atol=1e-6)
 
 
 def test_the_service_says_why_not(ros: SimpleNamespace) -> None:
     low = {**QUESTION, "target": "cabinet_right/drawer_bottom_slide"}
-    told = wait(ros.service.call_async(ros.request(**low)))
-    assert told.status == "infeasible"
-    assert "out of reach" in told.message
-    assert len(told.reasons) == len(told.counts) > 1
-    assert min(told.counts) > 0
-    assert list(told.trajectories) == []
+    response = wait(ros.service.call_async(ros.request(**low)))
+    assert response.status == "infeasible"
+    assert "out of reach" in response.message
+    assert len(response.reasons) == len(response.counts) > 1
+    assert min(response.counts) > 0
+    assert list(response.trajectories) == []
 
 
 @pytest.mark.parametrize(
@@ -217,9 +217,9 @@ def test_the_service_says_why_not(ros: SimpleNamespace) -> None:
 def test_a_request_that_makes_no_sense_is_refused_in_words(
     ros: SimpleNamespace, change: dict[str, str], words: str
 ) -> None:
-    told = wait(ros.service.call_async(ros.request(**{**QUESTION, **change})))
-    assert told.status == "refused"
-    assert words in told.message
+    response = wait(ros.service.call_async(ros.request(**{**QUESTION, **change})))
+    assert response.status == "refused"
+    assert words in response.message
 
 
 def test_the_action_drives_then_moves_from_where_the_base_is(ros: SimpleNamespace) -> None:
@@ -233,7 +233,7 @@ def test_the_action_drives_then_moves_from_where_the_base_is(ros: SimpleNamespac
     assert names[:3] == ["NavigateToPose", "FollowJointTrajectory", "GripperCommand"]
     assert stages[:3] == ["planning", "driving", "planning the arm"]
     assert len(stages) == 3 + len(moves)
-    # What the arm is told is a motion from where the base is: the exact check accepts it.
+    # The arm gets a motion from where the base is: the exact check accepts it.
     scene, robot = momapos.load_scene(QUESTION["scene"]), momapos.load_robot(QUESTION["robot"])
     turn = drive.pose.pose.orientation
     base = (reached.x, reached.y, 2 * np.arctan2(turn.z, turn.w))

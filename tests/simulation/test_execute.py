@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.simulation.toy import asked, toy
+from tests.simulation.toy import toy, with_goal
 from tests.verification.door_case import HANDLE, OPEN, make_case
 
 from momapos.core.errors import InputError, SceneError
@@ -43,7 +43,7 @@ def test_the_base_yields_slightly(plain: tuple[Execution, np.ndarray]) -> None:
 
 
 def test_a_request_beyond_the_end_of_the_motion_fails(tmp_path: Path) -> None:
-    done = asked(toy(tmp_path), 1.15).run()
+    done = with_goal(toy(tmp_path), 1.15).run()
     assert not done.success
     assert "87 %" in done.reason
 

@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from tests.simulation.toy import Toy, asked, gripping, toy
+from tests.simulation.toy import Toy, gripping, toy, with_goal
 from tests.verification.door_case import BASE, Case
 from tests.verification.moving_case import moving_case, stops_case
 
@@ -53,7 +53,7 @@ def run(
 def standing(tmp_path_factory: pytest.TempPathFactory) -> tuple[Toy, Simulation]:
     """Return a robot and the world of its run, for what moves the base alone."""
     ready = made(tmp_path_factory.mktemp("standing"), "differential", fingers=False)
-    return ready, run(asked(ready, 0.02), hold="weld")[1].played[0].world
+    return ready, run(with_goal(ready, 0.02), hold="weld")[1].played[0].world
 
 
 @pytest.mark.parametrize(

@@ -63,10 +63,10 @@ def test_a_record_contains_the_motion_and_its_source_files(tmp_path: Path) -> No
 def test_a_record_has_the_values_of_a_latch_only_if_one_is_turned(tmp_path: Path) -> None:
     plain = RunMotion((0.0, 0.1), ("drive", "settle"), ((0.0, 0.0, 0.1), (0.1, 0.0, 0.1)))
     turned = replace(plain, latch={"lever": (0.0, -0.7)})
-    for motion, told in ((plain, False), (turned, True)):
+    for motion, stored in ((plain, False), (turned, True)):
         write_run(replace(RECORD, motion=motion), tmp_path / "run.json")
         data = json.loads((tmp_path / "run.json").read_text())
-        assert ("latch" in data["motion"]) == told
+        assert ("latch" in data["motion"]) == stored
         assert read_run(tmp_path / "run.json").motion == motion
     data["motion"]["latch"]["lever"] = []
     (tmp_path / "run.json").write_text(json.dumps(data))

@@ -53,7 +53,7 @@ def slipped(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[AttemptOutcome, list[LearnedPart], float]:
     """Let a door slip out of the hand halfway; return also its true value at that time."""
-    toy, asked, last = gripping(tmp_path_factory.mktemp("slipped")), [], [0.0]
+    toy, replanned, last = gripping(tmp_path_factory.mktemp("slipped")), [], [0.0]
     oiled = 0.5
 
     def watch(world: Simulation, _: float, stage: str) -> None:
@@ -64,22 +64,22 @@ def slipped(
                 world.model.geom_friction[world.pad_side != 0] = 0.0
 
     def way_home(q: np.ndarray, learned: LearnedPart) -> np.ndarray:
-        asked.append(learned)
+        replanned.append(learned)
         home = toy.robot.home
         aside = np.concatenate([home[:1], q[1:]])  # off the handle before the arm folds
         return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
 
     came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, way_home=way_home, watch=watch)
-    return came, asked, last[0]
+    return came, replanned, last[0]
 
 
 def test_a_hand_that_lost_its_grasp_draws_back_goes_home_and_knows_the_door_value(
     slipped: tuple[AttemptOutcome, list[LearnedPart], float],
 ) -> None:
-    came, asked, true = slipped
+    came, replanned, true = slipped
     assert came.ending == Ending.SLIPPED
     assert came.at_home
-    assert came.learned is asked[0]
+    assert came.learned is replanned[0]
     assert came.learned.value == pytest.approx(true, abs=0.1)
     assert np.linalg.norm(came.learned.offset) < 0.03
 
@@ -87,25 +87,25 @@ def test_a_hand_that_lost_its_grasp_draws_back_goes_home_and_knows_the_door_valu
 def test_a_hand_that_meets_an_obstacle_on_its_path_home_goes_back_and_replans(
     tmp_path: Path,
 ) -> None:
-    toy, asked = gripping(tmp_path), []
+    toy, replanned = gripping(tmp_path), []
 
     def way_home(q: np.ndarray, _: LearnedPart) -> np.ndarray:
-        asked.append(q)
+        replanned.append(q)
         home = toy.robot.home
-        if len(asked) == 1:  # into the door
+        if len(replanned) == 1:  # into the door
             ahead = q + 2.0 * (toy.motion.q[0] - q)
             return np.linspace(q, ahead, 40)
         aside = np.concatenate([home[:1], q[1:]])
         return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
 
     came = attempt(toy.scene, toy.robot, BASE, toy.motion, toy.task, SLIPPERY, way_home=way_home)
-    assert len(asked) == 2
-    assert np.abs(asked[1] - asked[0]).max() < 0.1
+    assert len(replanned) == 2
+    assert np.abs(replanned[1] - replanned[0]).max() < 0.1
     assert came.at_home
 
 
 def test_an_overloaded_hand_opens_under_load_and_goes_home(tmp_path: Path) -> None:
-    toy, asked = gripping(tmp_path), []
+    toy, replanned = gripping(tmp_path), []
     file = tmp_path / "stuck.urdf"
     file.write_text(cupboard_urdf().replace('upper="1.2"', 'upper="0.1"'))
     stuck = Scene("stuck", (SceneObject.from_urdf("chest", file, (0.4, 0.0, 0.8)),))
@@ -113,7 +113,7 @@ def test_an_overloaded_hand_opens_under_load_and_goes_home(tmp_path: Path) -> No
     strong = ExecutionConfig(gripper=GripConfig(friction=5.0))
 
     def way_home(q: np.ndarray, _: LearnedPart) -> np.ndarray:
-        asked.append(q)
+        replanned.append(q)
         home = toy.robot.home
         aside = np.concatenate([home[:1], q[1:]])
         return np.concatenate([np.linspace(q, aside, 40), np.linspace(aside, home, 40)])
@@ -124,7 +124,7 @@ def test_an_overloaded_hand_opens_under_load_and_goes_home(tmp_path: Path) -> No
     )  # fmt: skip
     assert came.ending == Ending.TOO_HARD
     assert came.at_home
-    assert asked
+    assert replanned
 
 
 def test_a_retry_starts_with_the_part_where_the_last_attempt_left_it(

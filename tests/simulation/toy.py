@@ -90,6 +90,6 @@ def gripping(folder: Path, case: Case | None = None, *, turning: bool = False) -
     return replace(plain, robot=replace(plain.robot, gripper_links=links))
 
 
-def asked(toy: Toy, value: float) -> Toy:
+def with_goal(toy: Toy, value: float) -> Toy:
     """Return the same motion, judged by another joint value."""
     return replace(toy, task=replace(toy.task, to=value))

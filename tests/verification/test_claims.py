@@ -204,8 +204,8 @@ def test_commands_that_use_a_plan_refuse_it_in_one_line(
     path = case.write(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT_FILE)
     assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path / "plan.csv")]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
     assert not (tmp_path / "plan.csv").exists()
 
 

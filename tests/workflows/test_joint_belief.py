@@ -169,15 +169,15 @@ def test_if_the_most_probable_hypothesis_is_infeasible_the_next_is_planned_verif
     odds: Odds = (("drawer", 0.5), ("door_right", 0.3), ("door_left", 0.2))
     guessed = room(tmp_path / "guessed", odds, post=BLOCKS_TWO)
     really = room(tmp_path / "really", (("door_left", 1.0),), post=BLOCKS_TWO)
-    asked = list[str]()
+    planned = list[str]()
 
     def plan_task(scene: Scene, task: Task) -> list[PlacementResult]:
-        asked.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
+        planned.append(scene.object("cupboard").hypotheses["drawer_slide"][0].kind)
         return [plan_base_placement(scene, segway, task, Everywhere())]
 
     first = make_task(guessed, "open", "cupboard", "drawer_slide")
     _, _, (answer,) = plan_by_hypothesis(guessed, first, plan_task)
-    assert asked == ["drawer", "door_right", "door_left"]
+    assert planned == ["drawer", "door_right", "door_left"]
     assert answer.plan.scene_hypotheses == {"cupboard": {"drawer_slide": 2}}
     assert answer.plan.status == "assumed"
     assert "joint type  door_left (20 %), assumed" in summary(answer, None)
@@ -204,14 +204,14 @@ def test_a_run_skips_a_hypothesis_without_a_plan(tmp_path: Path, segway: Robot) 
 
 def test_if_no_hypothesis_has_a_plan_the_error_is_that_of_the_most_probable(guessed: Scene) -> None:
     task = make_task(guessed, "open", "cupboard", "door_hinge")
-    asked = list[str]()
+    planned = list[str]()
 
     def refuse(scene: Scene, _: Task) -> list[PlacementResult]:
-        asked.append(scene.object("cupboard").hypotheses["door_hinge"][0].kind)
-        raise TaskError(f"no hand holds a {asked[-1]}")
+        planned.append(scene.object("cupboard").hypotheses["door_hinge"][0].kind)
+        raise TaskError(f"no hand holds a {planned[-1]}")
 
     with pytest.raises(TaskError, match="no hand holds a door_right"):
         plan_by_hypothesis(guessed, task, refuse)
-    assert asked == [kind for kind, share in ALL if share >= MIN_PROBABILITY]
+    assert planned == [kind for kind, share in ALL if share >= MIN_PROBABILITY]
     likely = guessed.object("cupboard").hypotheses["door_hinge"]
-    assert len(asked) == len(likely)
+    assert len(planned) == len(likely)

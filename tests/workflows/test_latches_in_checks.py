@@ -15,8 +15,8 @@ from momapos.workflows.scene_check.report import joint_lines
 
 def test_a_scene_check_names_the_latch_at_both_joints(tmp_path: Path) -> None:
     joints = joint_reports(latched_room(tmp_path, "a lever"))
-    told = {one.joint: (one.latch, one.latch_to, one.holds) for one in joints}
-    assert told == {"hinge": ("turn", "-40.1 deg", ""), "turn": ("", "", "hinge")}
+    latches = {one.joint: (one.latch, one.latch_to, one.holds) for one in joints}
+    assert latches == {"hinge": ("turn", "-40.1 deg", ""), "turn": ("", "", "hinge")}
     text = "\n".join(joint_lines(joints))
     assert "once turn is turned to -40.1 deg" in text
     assert "the latch of hinge" in text

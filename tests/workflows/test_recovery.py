@@ -101,10 +101,10 @@ def hinge(room: Scene, task: Task) -> Axis:
 
 
 @pytest.mark.parametrize(
-    ("thing", "joint"), [("fridge", "door_hinge"), ("cabinet_right", "drawer_top_slide")]
+    ("name", "joint"), [("fridge", "door_hinge"), ("cabinet_right", "drawer_top_slide")]
 )
-def test_a_part_moves_about_the_measured_joint(kitchen: Scene, thing: str, joint: str) -> None:
-    task = make_task(kitchen, "open", thing, joint)
+def test_a_part_moves_about_the_measured_joint(kitchen: Scene, name: str, joint: str) -> None:
+    task = make_task(kitchen, "open", name, joint)
     modeled = hinge(kitchen, task)
     lean = rotation_of(np.array([0.03, 0.05, 0.0]))
     found = replace(

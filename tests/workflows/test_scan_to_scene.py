@@ -135,7 +135,7 @@ def test_names_follow_from_places_whatever_segments_the_room(
 
 
 @pytest.mark.parametrize(
-    ("thing", "label", "kinds"),
+    ("appliance", "label", "kinds"),
     [
         ("dishwasher", "cabinet", {"door_down"}),
         pytest.param("fridge", "fridge", {"door_right"}, marks=pytest.mark.slow),
@@ -144,13 +144,13 @@ def test_names_follow_from_places_whatever_segments_the_room(
 def test_an_appliance_front_without_depth_is_completed_and_reported(
     scan: Scan,
     tools: Tools,
-    thing: str,
+    appliance: str,
     label: str,
     kinds: set[str],
     tmp_path: Path,
     kitchen: Scene,
 ) -> None:
-    low, high = kitchen.object(thing).bounds
+    low, high = kitchen.object(appliance).bounds
     front = np.array([low - 0.02, [high[0] + 0.02, low[1] + 0.14, high[2] + 0.02]])
     dark = []
     for frame in scan.frames[::2]:
@@ -171,8 +171,8 @@ def test_an_appliance_front_without_depth_is_completed_and_reported(
     assert found.detection.seen < 0.2
     assert {part.kind for part in found.parts} == kinds
     assert any("depth is missing" in text and name in text for text in found.warnings)
-    told = next(o for o in report_to_dict(made, scan, None)["objects"] if o["name"] == name)
-    assert told["completed"] == pytest.approx(found.detection.completed, abs=1e-3)
+    item = next(o for o in report_to_dict(made, scan, None)["objects"] if o["name"] == name)
+    assert item["completed"] == pytest.approx(found.detection.completed, abs=1e-3)
 
 
 @pytest.fixture
@@ -526,6 +526,6 @@ def test_a_target_that_the_scan_does_not_show_is_refused_in_one_line(
     made: Modeled, folder: Path, tmp_path: Path
 ) -> None:
     box = next(d.detection.name for d in made.decisions if d.looked and d.view is None)
-    for target, told in ((box, "no door or drawer was found"), ("frigde", "mean")):
+    for target, message in ((box, "no door or drawer was found"), ("frigde", "mean")):
         words = ["solve", str(folder), "open", target, "--out", str(tmp_path / "solved")]
-        assert told in error_of(*words)
+        assert message in error_of(*words)

@@ -40,7 +40,7 @@ def room(*items: SceneObject, **members: Any) -> Scene:
     return Scene("room", items, **{"floor_polygon": FLOOR, **members})
 
 
-def urdf(folder: Path, *parts: str, name: str = "thing") -> SceneObject:
+def urdf(folder: Path, *parts: str, name: str = "chest") -> SceneObject:
     path = folder / f"{name}.urdf"
     path.write_text(f'<robot name="{name}">{"".join(parts)}</robot>')
     return SceneObject.from_urdf(name, path, (0.5, 0.0, 0.0))
@@ -151,7 +151,7 @@ def test_what_is_only_drawn_is_found(solid: str, severity: Severity, tmp_path: P
 def test_an_object_without_any_shape_is_found(tmp_path: Path) -> None:
     report = check_scene(room(TABLE, urdf(tmp_path, '<link name="base"/>')))
     (found,) = of_kind(report, FindingKind.NO_SHAPE)
-    assert "'thing' has no shape" in found.text
+    assert "'chest' has no shape" in found.text
     assert "<collision>" in found.advice
 
 
@@ -187,7 +187,7 @@ def test_a_hull_that_fills_free_space_is_found(
     if ratio is None:
         assert not found
         return
-    assert "thing/base: the convex hull of collision element 0 (body.obj) is" in found[0].text
+    assert "chest/base: the convex hull of collision element 0 (body.obj) is" in found[0].text
     stated = float(found[0].text.partition(") is ")[2].split()[0])
     assert stated == pytest.approx(ratio, rel=0.15)
 

@@ -50,7 +50,7 @@ def scene(*shapes: dict[str, Any], at: tuple[float, ...] = (0.0, 0.0, 0.3)) -> d
     """Return a planning scene with an object per shape."""
     pose = {"position": list(at), "orientation": [0, 0, 0, 1]}
     items = [
-        {"id": f"thing{k}", "primitives": [shape], "primitive_poses": [pose]}
+        {"id": f"block{k}", "primitives": [shape], "primitive_poses": [pose]}
         for k, shape in enumerate(shapes)
     ]
     return {"robot_model_name": "any", "world": {"collision_objects": items}}
@@ -101,7 +101,7 @@ def test_a_cylinder_is_a_cylinder_and_the_way_around_it_is_short(tmp_path: Path)
     shortest = 2 * np.sqrt(1 - reach**2) + reach * (np.pi - 2 * np.arccos(reach))
     assert shortest - 0.02 < first.length < 1.15 * shortest
     assert results["block", "0001"].result == "invalid ends"
-    assert results["block", "0001"].reason == "goal touches thing0"
+    assert results["block", "0001"].reason == "goal touches block0"
 
 
 def test_an_object_has_a_pose_and_shapes_have_numbers_too(tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def changed(what: dict[str, Any], **values: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("what", "ends", "words"),
     [
-        (scene({"type": "cone", "dimensions": [1, 1]}), ACROSS, "'thing0'.*'cone' is not supp"),
+        (scene({"type": "cone", "dimensions": [1, 1]}), ACROSS, "'block0'.*'cone' is not supp"),
         (scene({"type": "sphere", "dimensions": [1]}), ACROSS, "'sphere' is not supported"),
         (scene({"type": "box", "dimensions": [1, 1]}), ACROSS, "must be 3 numbers"),
         (scene({"type": "cylinder", "dimensions": [1, -1]}), ACROSS, "numbers above 0"),
@@ -210,7 +210,7 @@ def test_the_command_writes_results_and_the_report_shows_them(tmp_path: Path) ->
     }
     text = output_of("bench", "report", str(out))
     assert "| tall pillar | 2 | 1 | 1 |" in text
-    assert "| invalid ends | start touches thing0 | 1 |" in text
+    assert "| invalid ends | start touches block0 | 1 |" in text
     found = read_arm_results(out)
     assert markdown(arm_heading(found), arm_tables(found)) == text.rstrip("\n")
     write_arm_results(found, tmp_path)

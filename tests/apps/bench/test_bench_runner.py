@@ -184,7 +184,7 @@ def test_a_key_differs_for_everything_that_determines_a_row() -> None:
         (base, "ours", Settings(), {"momapos": "2"}),
         (replace(base, scenes={"kitchen_small": "another"}), "ours", Settings(), VERSIONS),
         (suite(replace(task("task"), seed=1)), "ours", Settings(), VERSIONS),
-        (suite(task("task", "other thing")), "ours", Settings(), VERSIONS),
+        (suite(task("task", "other object")), "ours", Settings(), VERSIONS),
     ]
     keys = [
         jobs_of(made, [method], Path("x"), settings, versions)[0].key

@@ -24,7 +24,7 @@ def test_a_file_contains_the_map_of_one_arm(tmp_path: Path) -> None:
 
 
 def test_errors_of_a_map_are_reported_near_the_boundary_and_in_the_ball() -> None:
-    told = json_of("reach", "eval", "segway_ur5e", "--count", "400", "--json")
-    assert told["misses_near_reach"] < 0.05
-    assert told["false_positives_near_reach"] < 0.08
-    assert told["reachable_near_reach"] > told["reachable"], "the ball is mostly out of reach"
+    rates = json_of("reach", "eval", "segway_ur5e", "--count", "400", "--json")
+    assert rates["misses_near_reach"] < 0.05
+    assert rates["false_positives_near_reach"] < 0.08
+    assert rates["reachable_near_reach"] > rates["reachable"], "the ball is mostly out of reach"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
-from tests.planning.importance.things import SHELF_TOP, bowl, box, fridge, room
+from tests.planning.importance.small_rooms import SHELF_TOP, bowl, box, fridge, room
 
 from momapos.apps.plots.graph_plot import draw_importance, spread
 from momapos.core.errors import InputError

@@ -15,7 +15,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
 
-URDF = """<robot name="thing"><link name="base">
+URDF = """<robot name="chest"><link name="base">
 <visual><geometry><mesh filename="half.obj" scale="{scale}"/></geometry></visual>
 <collision><geometry><box size="1 1 1"/></geometry></collision></link></robot>"""
 TETRAHEDRON = """v 0 0 0
@@ -44,8 +44,8 @@ def test_triangles_of_all_links_face_outward(segway: Robot) -> None:
 @pytest.mark.parametrize("scale", ["1 1 1", "2 1 1", "-1 1 1"])
 def test_a_mesh_is_drawn_with_its_own_triangles(tmp_path: Path, scale: str) -> None:
     (tmp_path / "half.obj").write_text(TETRAHEDRON)
-    (tmp_path / "thing.urdf").write_text(URDF.format(scale=scale))
-    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "thing.urdf")))
+    (tmp_path / "chest.urdf").write_text(URDF.format(scale=scale))
+    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "chest.urdf")))
     assert len(link.body.faces) == len(link.body.vertices) == 4  # shared corners are sent once
     stretched = abs(np.prod([float(s) for s in scale.split()]))
     assert volume(link.body.vertices, link.body.faces) == pytest.approx(stretched / 6)
@@ -53,8 +53,8 @@ def test_a_mesh_is_drawn_with_its_own_triangles(tmp_path: Path, scale: str) -> N
 
 def test_collision_shapes_are_drawn_on_request(tmp_path: Path) -> None:
     (tmp_path / "half.obj").write_text(TETRAHEDRON)
-    (tmp_path / "thing.urdf").write_text(URDF.format(scale="1 1 1"))
-    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "thing.urdf")), collision=True)
+    (tmp_path / "chest.urdf").write_text(URDF.format(scale="1 1 1"))
+    (link,) = link_surfaces(Articulated(read_urdf(tmp_path / "chest.urdf")), collision=True)
     assert volume(link.body.vertices, link.body.faces) == pytest.approx(1.0)
 
 

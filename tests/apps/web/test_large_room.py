@@ -55,16 +55,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 @pytest.fixture
 def sent(page: Page, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """All messages to browsers."""
-    told: list[Any] = []
+    messages: list[Any] = []
     interface = page.server.scene._websock_interface
     say = interface.queue_message
 
     def tell(message: Any) -> None:
-        told.append(message)
+        messages.append(message)
         say(message)
 
     monkeypatch.setattr(interface, "queue_message", tell)
-    return told
+    return messages
 
 
 def of_light(sent: list[Any]) -> list[Any]:

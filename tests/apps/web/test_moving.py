@@ -59,11 +59,11 @@ class Loop:
 
 
 class Browser:
-    """A browser with a movable camera, and a record of what it is told to show."""
+    """A browser with a movable camera, and a record of what it is commanded to show."""
 
     def __init__(self) -> None:
-        self.loop, self.told, self.wanted = Loop(), [], True  # type: ignore[var-annotated]
-        self.detail = BrowserDetail(self.told.append, lambda: self.wanted)
+        self.loop, self.shown, self.wanted = Loop(), [], True  # type: ignore[var-annotated]
+        self.detail = BrowserDetail(self.shown.append, lambda: self.wanted)
 
     def move(self, frames: int, gap: float) -> None:
         """Move the camera for some frames with a frame time [s]."""
@@ -80,57 +80,57 @@ def browser() -> Browser:
 def test_a_fast_browser_always_shows_all_points(browser: Browser) -> None:
     for gap in (0.004, 0.017, 0.04, 0.1):
         browser.move(200, gap)
-    assert browser.told == []
+    assert browser.shown == []
 
 
 def test_a_slow_browser_shows_few_points_while_its_camera_moves_and_all_at_rest(
     browser: Browser,
 ) -> None:
     browser.move(FRAME_GAPS, 0.3)
-    assert browser.told == []  # not measured yet
+    assert browser.shown == []  # not measured yet
     browser.move(1, 0.3)
-    assert browser.told == [True]
+    assert browser.shown == [True]
     browser.move(100, 0.08)  # faster now
-    assert browser.told == [True]
+    assert browser.shown == [True]
     browser.loop.go(REST_TIME + 0.01)
-    assert browser.told == [True, False]
+    assert browser.shown == [True, False]
     browser.loop.go(10.0)
     browser.move(1, 0.0)
-    assert browser.told == [True, False, True]  # at once, as it is known to be slow
+    assert browser.shown == [True, False, True]  # at once, as it is known to be slow
 
 
 def test_a_slow_browser_shows_few_points_while_something_else_moves(browser: Browser) -> None:
     loop = browser.loop
     browser.detail.scene_moved(loop.asyncio)
-    assert browser.told == []  # not known to be slow
+    assert browser.shown == []  # not known to be slow
     browser.move(FRAME_GAPS + 1, 0.3)
     loop.go(REST_TIME + 1.0)
-    assert browser.told == [True, False]
+    assert browser.shown == [True, False]
     for _ in range(50):
         loop.go(0.04)
         browser.detail.scene_moved(loop.asyncio)
-    assert browser.told == [True, False, True]
+    assert browser.shown == [True, False, True]
     loop.go(2 * REST_TIME)
-    assert browser.told == [True, False, True, False]
+    assert browser.shown == [True, False, True, False]
 
 
 def test_a_slow_browser_is_measured_again_after_a_while(browser: Browser) -> None:
     browser.move(FRAME_GAPS + 1, 0.2)
     browser.loop.go(SLOW_FRAMES * 0.2 + 1.0)
-    assert browser.told == [True, False]
+    assert browser.shown == [True, False]
     browser.move(100, 0.02)
-    assert browser.told == [True, False]
+    assert browser.shown == [True, False]
     browser.move(FRAME_GAPS + 1, 0.2)
-    assert browser.told == [True, False, True]
+    assert browser.shown == [True, False, True]
 
 
 def test_a_camera_does_not_rest_between_two_slow_frames(browser: Browser) -> None:
     browser.move(20, 1.5)
-    assert browser.told == [True]
+    assert browser.shown == [True]
     browser.loop.go(2.9)
-    assert browser.told == [True]
+    assert browser.shown == [True]
     browser.loop.go(0.2)
-    assert browser.told == [True, False]
+    assert browser.shown == [True, False]
 
 
 def test_a_pause_of_the_hand_is_not_a_slow_frame(browser: Browser) -> None:
@@ -138,36 +138,36 @@ def test_a_pause_of_the_hand_is_not_a_slow_frame(browser: Browser) -> None:
         for _ in range(20):
             browser.move(6, 0.02)
             browser.loop.go(pause)
-    assert browser.told == []
+    assert browser.shown == []
     for _ in range(20):  # nor is a camera that moves once in a while
         browser.move(1, NEW_MOVEMENT_TIME + 1.0)
-    assert browser.told == []
+    assert browser.shown == []
 
 
 def test_two_messages_in_one_frame_do_not_make_a_browser_fast(browser: Browser) -> None:
     for _ in range(FRAME_GAPS + 1):
         browser.move(1, 2 * SLOW_FRAME_TIME)
         browser.move(1, SAME_FRAME_TIME / 2)
-    assert browser.told == [True]
+    assert browser.shown == [True]
 
 
 def test_nothing_is_sent_if_there_is_nothing_to_draw_coarsely(browser: Browser) -> None:
     browser.wanted = False
     browser.move(30, 0.5)
-    assert browser.told == []
+    assert browser.shown == []
     browser.wanted = True
     browser.move(1, 0.5)
-    assert browser.told == [True]
+    assert browser.shown == [True]
     browser.wanted = False
     browser.loop.go(2.0)
-    assert browser.told == [True, False]  # hidden points are shown again
+    assert browser.shown == [True, False]  # hidden points are shown again
 
 
 def test_nothing_is_sent_to_a_disconnected_browser(browser: Browser) -> None:
     browser.move(10, 0.5)
     browser.detail.close()
     browser.loop.go(10.0)
-    assert browser.told == [True]
+    assert browser.shown == [True]
 
 
 def test_only_the_browser_whose_camera_moves_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,12 +184,12 @@ def test_only_the_browser_whose_camera_moves_is_switched(monkeypatch: pytest.Mon
     DetailControl(server, fine="/fine", coarse="/coarse", wanted=lambda: True)
 
     def client(number: int) -> Any:
-        told: asyncio.Queue[Any] = asyncio.Queue()
+        sent: asyncio.Queue[Any] = asyncio.Queue()
         cameras: list[Any] = []
         return Mock(
-            ClientHandle, client_id=number, told=told, cameras=cameras, atomic=nullcontext,
+            ClientHandle, client_id=number, sent=sent, cameras=cameras, atomic=nullcontext,
             camera=SimpleNamespace(on_update=cameras.append),
-            _websock_connection=SimpleNamespace(queue_message=told.put_nowait),
+            _websock_connection=SimpleNamespace(queue_message=sent.put_nowait),
         )  # fmt: skip
 
     async def meet() -> None:
@@ -198,12 +198,12 @@ def test_only_the_browser_whose_camera_moves_is_switched(monkeypatch: pytest.Mon
             await came[0](each)
         for _ in range(FRAME_GAPS + 1):
             await one.cameras[0](None)
-        messages = [await asyncio.wait_for(one.told.get(), 60.0) for _ in range(4)]
+        messages = [await asyncio.wait_for(one.sent.get(), 60.0) for _ in range(4)]
         assert [(m.name, m.visible, m.owner) for m in messages] == [
             ("/fine", False, ""), ("/coarse", True, ""),
             ("/fine", True, ""), ("/coarse", False, ""),
         ]  # fmt: skip
-        assert other.told.empty()
+        assert other.sent.empty()
         await went[0](one)
 
     loop.run_until_complete(meet())

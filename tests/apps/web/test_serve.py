@@ -183,10 +183,10 @@ def test_a_player_stops_at_the_end_and_plays_again_from_the_beginning() -> None:
 def test_a_robot_is_loaded_once() -> None:
     loader = RobotLoader(USER_CACHE)
 
-    def told(what: str, share: float) -> None:
+    def report(what: str, share: float) -> None:
         assert what
         assert 0.0 <= share <= 1.0
 
-    first = loader.load("segway_ur5e", "any", time.perf_counter, told)
-    loader.load("fetch", "any", time.perf_counter, told)
-    assert loader.load("segway_ur5e", "any", time.perf_counter, told) is first
+    first = loader.load("segway_ur5e", "any", time.perf_counter, report)
+    loader.load("fetch", "any", time.perf_counter, report)
+    assert loader.load("segway_ur5e", "any", time.perf_counter, report) is first

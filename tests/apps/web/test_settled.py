@@ -19,12 +19,12 @@ def control(uuid: str) -> Any:
 
 
 def test_many_changes_are_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+    shown: list[str] = []
     both = threading.Event()
 
     def tell(handle: Any) -> None:
-        told.append(handle._impl.uuid)
-        if len(set(told)) == 2:
+        shown.append(handle._impl.uuid)
+        if len(set(shown)) == 2:
             both.set()
 
     monkeypatch.setattr("momapos.apps.web.panel.send_value", tell)
@@ -33,7 +33,7 @@ def test_many_changes_are_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
         resender.control(control("a"))
     resender.control(control("b"))
     assert both.wait(LONG)
-    assert sorted(told) == ["a", "b"]
+    assert sorted(shown) == ["a", "b"]
     resender.close()
     resender.control(control("c"))
     assert resender._timers == {}

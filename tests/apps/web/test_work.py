@@ -16,13 +16,13 @@ LONG = 20.0
 
 
 @pytest.fixture
-def told() -> list[str]:
+def messages() -> list[str]:
     return []
 
 
 @pytest.fixture
-def worker(told: list[str]) -> Iterator[LatestWorker]:
-    worker = LatestWorker("test", told.append)
+def worker(messages: list[str]) -> Iterator[LatestWorker]:
+    worker = LatestWorker("test", messages.append)
     yield worker
     worker.close()
 
@@ -81,7 +81,7 @@ def test_a_newer_request_can_cancel_the_running_one(worker: LatestWorker) -> Non
 
 
 def test_a_failure_is_reported_and_the_thread_continues(
-    worker: LatestWorker, told: list[str]
+    worker: LatestWorker, messages: list[str]
 ) -> None:
     def wrong(_: Clock) -> None:
         raise TaskError("no such door")
@@ -93,14 +93,14 @@ def test_a_failure_is_reported_and_the_thread_continues(
     for work in (wrong, broken, lambda _: done.append(1)):
         worker.put(work)
         assert worker.wait(LONG)
-    assert told[0] == "no such door"
-    assert "KeyError" in told[1]
-    assert "bug in momapos" in told[1]
+    assert messages[0] == "no such door"
+    assert "KeyError" in messages[1]
+    assert "bug in momapos" in messages[1]
     assert done == [1]
 
 
-def test_nothing_runs_after_close(told: list[str]) -> None:
-    worker, done = LatestWorker("test", told.append), []
+def test_nothing_runs_after_close(messages: list[str]) -> None:
+    worker, done = LatestWorker("test", messages.append), []
     worker.close()
     worker.put(lambda _: done.append(1))
     assert not any(thread.name == "test" for thread in threading.enumerate())

@@ -202,8 +202,8 @@ def test_both_kernels_agree(robot: Robot) -> None:
 def test_a_carried_object_is_checked_like_the_hand(segway: Robot) -> None:
     """A robot with an object hits what the robot hits alone, and what the object hits."""
     rng = np.random.default_rng(4)
-    thing = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
-    center, radius = box_spheres(thing)
+    box = Boxes(np.array([[0.0, 0.0, 0.12]]), np.eye(3)[None], np.array([[0.05, 0.1, 0.15]]))
+    center, radius = box_spheres(box)
     in_segment = segway.chain.tool_offset + center @ segway.chain.tool_rotation.T
     with_payload = carry(segway.spheres, segway.chain.size, in_segment, radius)
     world = build_world(

@@ -226,7 +226,7 @@ def test_where_hulls_decide_more_is_free_and_nothing_that_overlaps_a_box(robot: 
             if by_hulls and not by_spheres:
                 gained += 1
                 # Spheres leave at most MARGIN uncovered, and where they touch nothing, hulls are
-                # not asked.
+                # not queried.
                 assert depth_in_boxes(robot, world, q) <= MARGIN
     assert gained >= 3
 

@@ -25,7 +25,7 @@ def whole(request: pytest.FixtureRequest, robots: Callable[[str], Robot]) -> Rob
     return robots(request.param)
 
 
-def test_the_pads_of_a_hand_are_as_far_apart_as_asked(whole: Robot) -> None:
+def test_the_pads_of_a_hand_are_as_far_apart_as_given(whole: Robot) -> None:
     for width in (0.03, 0.061, 0.078):
         robot = opened_to(whole, width)
         hand = hand_of(robot)

@@ -162,8 +162,8 @@ def test_what_is_no_triangle_mesh_is_refused() -> None:
         (None, "not None"), (trimesh.Scene(), "has 0 parts"),
     ):  # fmt: skip
         with unchecked(), pytest.raises(MomaposError, match=message):
-            SceneObject.from_trimesh("thing", wrong, (0, 0, 0))
+            SceneObject.from_trimesh("chest", wrong, (0, 0, 0))
     odd = trimesh.creation.box((1, 1, 1))
     odd.units = "cubits and a half"
     with pytest.raises(MomaposError, match="unknown units"):
-        SceneObject.from_trimesh("thing", odd, (0, 0, 0))
+        SceneObject.from_trimesh("chest", odd, (0, 0, 0))

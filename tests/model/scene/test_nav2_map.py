@@ -100,7 +100,7 @@ def test_rows_count_up_from_the_origin_which_may_be_turned(tmp_path: Path) -> No
     assert_allclose(found.to_world(found.to_cells(points)), points)
 
 
-def test_maps_are_told_from_other_yaml_by_their_keys() -> None:
+def test_maps_are_distinguished_from_other_yaml_by_their_keys() -> None:
     assert is_map(YAML)
     assert is_map("# made by slam_toolbox\n" + YAML)
     assert not is_map("resolution: 1\nworld:\n  image: 2\n")

@@ -117,17 +117,17 @@ def test_a_changed_mesh_is_computed_again(tmp_path: Path) -> None:
 
     def write(size: float) -> None:
         rows = (f"v {x} {y} {z}\n" for x, y, z in corners * size)
-        (tmp_path / "thing.obj").write_text("".join(rows))
+        (tmp_path / "chest.obj").write_text("".join(rows))
 
-    file, cache = tmp_path / "thing.urdf", Cache(tmp_path / "cache")
-    shape = '<collision><geometry><mesh filename="thing.obj"/></geometry></collision>'
-    file.write_text(f'<robot name="thing"><link name="a">{shape}</link></robot>')
+    file, cache = tmp_path / "chest.urdf", Cache(tmp_path / "cache")
+    shape = '<collision><geometry><mesh filename="chest.obj"/></geometry></collision>'
+    file.write_text(f'<robot name="chest"><link name="a">{shape}</link></robot>')
     for size in (1.0, 0.5):
         write(size)
         urdf = read_urdf(file, cache=cache)
-        assert urdf.links["a"].collisions[0].mesh == (tmp_path / "thing.obj").resolve()
+        assert urdf.links["a"].collisions[0].mesh == (tmp_path / "chest.obj").resolve()
         assert Articulated(urdf, cache=cache).hulls["a"][0].vertices.max() == size
-    (tmp_path / "thing.obj").unlink()
+    (tmp_path / "chest.obj").unlink()
     with pytest.raises(UrdfError, match="does not exist"):
         read_urdf(file, cache=cache)
 

@@ -22,7 +22,7 @@ from momapos.perception.detection.relabel import (
 )
 
 EYES = [(-0.5, 0.5, 1.0), (-0.4, 0.2, 1.2), (-0.6, 0.9, 1.1), (-0.3, 0.0, 1.3), (-0.5, 1.2, 1.0)]
-TOLD = frozenset({"fridge", "cup", "microwave"})
+KNOWN = frozenset({"fridge", "cup", "microwave"})
 
 
 def gray(world: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -45,7 +45,7 @@ def measured(frame: Frame) -> np.ndarray:
     return apply(frame.T_world_camera, (rays * z).T)
 
 
-def thing(points: np.ndarray, box: UprightBox, **more: object) -> tuple[Detection, Cloud]:
+def detected(points: np.ndarray, box: UprightBox, **more: object) -> tuple[Detection, Cloud]:
     cloud = Cloud(
         points, np.tile([-1.0, 0, 0], (len(points), 1)), np.zeros((len(points), 3), np.uint8)
     )
@@ -54,7 +54,7 @@ def thing(points: np.ndarray, box: UprightBox, **more: object) -> tuple[Detectio
 
 @pytest.fixture(scope="module")
 def fridge(frames: list[Frame]) -> tuple[Detection, Cloud]:
-    return thing(measured(frames[0])[::50], FRIDGE)
+    return detected(measured(frames[0])[::50], FRIDGE)
 
 
 def around(frame: Frame, label: str, score: float, shift: float = 0.0) -> ImageDetection:
@@ -103,7 +103,7 @@ def test_a_rectangle_next_to_an_object_does_not_vote_for_it(frames, fridge, shif
 def test_an_object_behind_another_one_in_a_rectangle_is_not_labeled(frames, fridge) -> None:
     item, cloud = fridge
     away = replace(FRIDGE, center=FRIDGE.center + np.array([1.5, 0, 0]))
-    hidden, behind = thing(cloud.points + np.array([1.5, 0, 0]), away)
+    hidden, behind = detected(cloud.points + np.array([1.5, 0, 0]), away)
     found = {frame.name: [around(frame, "fridge", 0.9)] for frame in frames}
     assert vote([hidden], behind, frames, found)[0].seen == 0
     without = [replace(frame, depth=None) for frame in frames]
@@ -132,24 +132,24 @@ GUESSES = (("microwave", 0.7), ("box", 0.4))
 
 
 @pytest.mark.parametrize(
-    ("seen", "told", "label"),
-    [(0, TOLD, "microwave"), (1, TOLD, "microwave"), (3, TOLD, "box"), (9, TOLD, "box"),
-     (9, frozenset({"cup"}), "microwave"), (9, TOLD | {"box"}, "object")],
+    ("seen", "known", "label"),
+    [(0, KNOWN, "microwave"), (1, KNOWN, "microwave"), (3, KNOWN, "box"), (9, KNOWN, "box"),
+     (9, frozenset({"cup"}), "microwave"), (9, KNOWN | {"box"}, "object")],
 )  # fmt: skip
 def test_a_label_by_size_is_dropped_after_enough_images_without_a_detection(
-    fridge, seen: int, told: frozenset[str], label: str
+    fridge, seen: int, known: frozenset[str], label: str
 ) -> None:
     item = replace(fridge[0], label_from="size", guesses=GUESSES)
-    (named,) = relabeled([item], [Verdict("", 0.0, 0, seen)], told)
+    (named,) = relabeled([item], [Verdict("", 0.0, 0, seen)], known)
     assert named.label == label
     assert named.score <= item.score
 
 
 def test_labels_from_images_override_sizes_and_given_labels_override_both(fridge) -> None:
     item = replace(fridge[0], label_from="size", guesses=GUESSES)
-    (named,) = relabeled([item], [Verdict("fridge", 0.9, 4, 5)], TOLD)
+    (named,) = relabeled([item], [Verdict("fridge", 0.9, 4, 5)], KNOWN)
     assert (named.label, named.score, named.label_from) == ("fridge", 0.9, "detector")
-    (kept,) = relabeled([replace(item, label_from="segmenter")], [Verdict("", 0.0, 0, 9)], TOLD)
+    (kept,) = relabeled([replace(item, label_from="segmenter")], [Verdict("", 0.0, 0, 9)], KNOWN)
     assert kept.label == "microwave"
     (given,) = with_given_labels([named], {"a": "wall cabinet"})
     assert (given.label, given.label_from) == ("wall cabinet", "given")

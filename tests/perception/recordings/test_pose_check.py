@@ -41,7 +41,7 @@ def room(T: np.ndarray, name: str) -> Frame:
     return Frame(name, np.zeros((240, 320, 3), np.uint8), depth.astype(np.float32), K, T)
 
 
-def told(frames: list[Frame], offsets: np.ndarray) -> list[Frame]:
+def displaced(frames: list[Frame], offsets: np.ndarray) -> list[Frame]:
     """Return the frames with offsets in their poses."""
     out = []
     for frame, off in zip(frames, offsets, strict=True):
@@ -70,7 +70,7 @@ def test_true_poses_agree_with_depth(rounds: list[Frame]) -> None:
 @pytest.mark.parametrize("far", [0.05, 0.1])
 def test_drift_is_measured_where_a_place_is_seen_again(rounds: list[Frame], far: float) -> None:
     way = np.array([0.6, 0.8, 0.0])
-    check = check_poses(told(rounds, np.linspace(0, 2 * far, 48)[:, None] * way))
+    check = check_poses(displaced(rounds, np.linspace(0, 2 * far, 48)[:, None] * way))
     assert check.neighbors < 0.2 * far
     assert check.drift == pytest.approx(far, rel=0.4)
     assert f"{100 * check.drift:.1f} cm" in check.text()
@@ -80,7 +80,7 @@ def test_drift_is_measured_where_a_place_is_seen_again(rounds: list[Frame], far:
 def test_only_the_frame_with_a_wrong_pose_is_found(rounds: list[Frame], off) -> None:
     offsets = np.zeros((48, 3))
     offsets[17] = off
-    check = check_poses(told(rounds, offsets))
+    check = check_poses(displaced(rounds, offsets))
     assert check.lost == (17,)
 
 
@@ -99,7 +99,7 @@ def test_a_scan_reports_the_pose_check_and_drops_lost_frames(rounds: list[Frame]
     folder = write_seven_scenes(tmp_path / "scan", taken)
     from PIL import Image
 
-    for k, frame in enumerate(told(rounds, offsets)):
+    for k, frame in enumerate(displaced(rounds, offsets)):
         stem = folder / f"frame-{k:06d}"
         Image.fromarray(frame.color).save(f"{stem}.color.png")
         Image.fromarray(np.rint(1000 * frame.depth).astype(np.uint16)).save(f"{stem}.depth.png")

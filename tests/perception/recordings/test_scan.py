@@ -43,8 +43,8 @@ def test_several_clouds_next_to_frames_are_refused(tmp_path: Path) -> None:
 def test_an_error_about_another_file_lists_the_accepted_formats(
     tmp_path: Path, content: bytes
 ) -> None:
-    (tmp_path / "thing.ply").write_bytes(content)
-    for path in (tmp_path / "thing.ply", tmp_path / "none"):
+    (tmp_path / "chest.ply").write_bytes(content)
+    for path in (tmp_path / "chest.ply", tmp_path / "none"):
         with pytest.raises(FileFormatError, match=r"expected .*frame-000000") as caught:
             read_scan(path)
         assert str(path) in str(caught.value)

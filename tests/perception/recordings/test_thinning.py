@@ -1,4 +1,4 @@
-"""Large clouds are thinned, far ones are moved, sparse ones are told, and masks still fit."""
+"""Large clouds are thinned, far ones are moved, sparse ones are reported, and masks still fit."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ def test_a_far_cloud_is_moved_and_gives_the_same_room(tmp_path: Path, origin: np
     assert any("far from the origin" in line for line in warnings)
     seen = survey(read_scan(tmp_path / "a.ply"), tools_for_masks())
     back = np.linalg.inv(seen.T_scene_scan)
-    assert np.abs(back[:3, 3] - origin).max() < 10, "the way back to the scan's frame is told"
+    assert np.abs(back[:3, 3] - origin).max() < 10, "the transform to the scan's frame is known"
 
 
 def tools_for_masks() -> object:
     return tools_for(Scan("none", ()), ScanOptions(), None)
 
 
-def test_rounded_coordinates_of_a_far_cloud_are_told(tmp_path: Path) -> None:
+def test_rounded_coordinates_of_a_far_cloud_are_reported(tmp_path: Path) -> None:
     points = cloud_of(kitchen(), np.random.default_rng(0), 0.1).points
     _, warnings = read_cloud(write_ply(tmp_path / "a.ply", points + UTM))
     assert any("rounded to 0.50 m" in line and "double" in line for line in warnings)
@@ -102,7 +102,7 @@ def test_frames_move_with_their_cloud(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("spacing", "is_sparse"), [(0.015, False), (0.045, True)])
-def test_a_sparse_cloud_is_told_that_it_is(tmp_path: Path, spacing: float, is_sparse: bool) -> None:
+def test_a_sparse_cloud_is_reported(tmp_path: Path, spacing: float, is_sparse: bool) -> None:
     points = cloud_of(kitchen(), np.random.default_rng(0), spacing).points
     _, warnings = read_cloud(write_ply(tmp_path / "a.ply", points))
     assert any("cloud is sparse" in line for line in warnings) == is_sparse

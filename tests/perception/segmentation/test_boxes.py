@@ -176,11 +176,11 @@ def test_names_count_each_label_from_the_origin_outward() -> None:
         box = UprightBox(np.array([x, 0.0, 0.5]), np.ones(3))
         return Detection("", label, 1.0, box, np.zeros(0, int))
 
-    things = [at(3.0, "wall cabinet"), at(1.0, "cup"), at(2.0, "wall cabinet")]
-    names = [d.name for d in named(things)]
+    items = [at(3.0, "wall cabinet"), at(1.0, "cup"), at(2.0, "wall cabinet")]
+    names = [d.name for d in named(items)]
     assert names == ["cup_1", "wall_cabinet_1", "wall_cabinet_2"]
-    assert [d.name for d in named(things[::-1])] == names
-    assert named(things)[1].box.center[0] == 2.0
+    assert [d.name for d in named(items[::-1])] == names
+    assert named(items)[1].box.center[0] == 2.0
 
 
 def test_walls_become_boxes_behind_their_surface() -> None:

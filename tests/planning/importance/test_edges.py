@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from tests.planning.importance.things import box, room
+from tests.planning.importance.small_rooms import box, room
 
 from momapos.model.scene.scene_files import load_scene
 from momapos.planning.config import PipelineConfig

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
-from tests.planning.importance.things import (
+from tests.planning.importance.small_rooms import (
     SHELF_TOP,
     UP,
     assembly,

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.commands import json_of
-from tests.planning.importance.things import box, room
+from tests.planning.importance.small_rooms import box, room
 from tests.rooms import move_scene
 from tests.shapes import unchecked
 

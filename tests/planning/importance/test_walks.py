@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.planning.importance.things import box, room
+from tests.planning.importance.small_rooms import box, room
 
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene

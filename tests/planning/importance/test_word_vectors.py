@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.commands import error_of, output_of
-from tests.planning.importance.things import box, room
+from tests.planning.importance.small_rooms import box, room
 
 from momapos.core.errors import FileFormatError, InputError
 from momapos.model.scene.scene import Scene
@@ -21,7 +21,7 @@ GLOVE = "the 0.1 0.2 0.3\nfridge 1 0 0\ncup 0.6 0.8 0\nshoe -1 0 0\n"
 
 @pytest.fixture
 def kitchen() -> Scene:
-    names = ("fridge", "cup_1", "shoe", "thing")
+    names = ("fridge", "cup_1", "shoe", "gadget")
     return room(*(box(n, (0.1, 0.1, 0.1), (float(k), 0.0, 0.0)) for k, n in enumerate(names)))
 
 
@@ -39,9 +39,9 @@ def test_scores_are_cosines_of_the_vectors_in_the_file(kitchen: Scene, tmp_path:
     path.write_text(GLOVE)
     found = rank(kitchen, "fridge", ImportanceConfig(scorer="names", vectors=str(path)))
     assert found.score("cup_1") == pytest.approx(0.6)
-    assert found.score("shoe") == MIN_SCORE == found.score("thing")
-    with pytest.raises(InputError, match="has none of the target's words: thing"):
-        rank(kitchen, "thing", ImportanceConfig(scorer="names", vectors=str(path)))
+    assert found.score("shoe") == MIN_SCORE == found.score("gadget")
+    with pytest.raises(InputError, match="has none of the target's words: gadget"):
+        rank(kitchen, "gadget", ImportanceConfig(scorer="names", vectors=str(path)))
 
 
 @pytest.mark.parametrize(

@@ -105,9 +105,9 @@ def test_without_weight_on_robustness_the_drive_is_shorter(kitchen: Scene, segwa
     cheapest = PipelineConfig(place=PlaceConfig(weight_robustness=0.0))
     driven = []
     for name, joint in [("fridge", "door_hinge"), ("cabinet_left", "drawer_slide")]:
-        asked = make_task(kitchen, "open", name, joint)
+        task = make_task(kitchen, "open", name, joint)
         usual, near = (
-            plan_base_placement(kitchen, segway, asked, reach, config=config).plan.navigation_cost
+            plan_base_placement(kitchen, segway, task, reach, config=config).plan.navigation_cost
             for config in (PipelineConfig(), cheapest)
         )
         driven.append((usual, near))

@@ -189,10 +189,12 @@ def test_the_chosen_pose_tolerates_position_errors(geometry: PlacementGeometry) 
         return bool(0.02 <= found.base[0] % 0.12 < 0.06)
 
     seeds = range(8)
-    asked = {"count": 64, "margin": 0.02}
-    some = [find(geometry, stripes, always, seed=seed, compared=0, **asked) for seed in seeds]
+    options = {"count": 64, "margin": 0.02}
+    some = [find(geometry, stripes, always, seed=seed, compared=0, **options) for seed in seeds]
     assert not all(inside(found) for found in some)
-    all_of_it = [find(geometry, stripes, always, seed=seed, compared=64, **asked) for seed in seeds]
+    all_of_it = [
+        find(geometry, stripes, always, seed=seed, compared=64, **options) for seed in seeds
+    ]
     assert all(inside(found) for found in all_of_it)
 
 
@@ -295,20 +297,20 @@ def test_where_nothing_works_every_pose_has_a_reason(geometry: PlacementGeometry
 
 
 @pytest.mark.parametrize("method", ["ours", "exhaustive"])
-def test_slow_rules_are_asked_only_about_poses_from_which_a_grasp_is_within_reach(
+def test_slow_rules_are_evaluated_only_at_poses_from_which_a_grasp_is_within_reach(
     geometry: PlacementGeometry, method: Method
 ) -> None:
-    asked: list[np.ndarray] = []
+    queried: list[np.ndarray] = []
 
     def path_rule(poses: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        asked.append(poses)
+        queried.append(poses)
         return poses[:, 1] < 0.0
 
     found = find(
         geometry, never, never, method=method, reached=left, path_rule=path_rule, count=64, rounds=1
     )
     every, outcomes = np.concatenate(found.poses), np.concatenate(found.outcomes)
-    assert left(np.concatenate(asked)).all()
+    assert left(np.concatenate(queried)).all()
     status = np.array([one.status for one in outcomes])
     blocked = every[status == PoseStatus.BASE_PATH_BLOCKED]
     assert len(blocked)
