@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import trimesh
-from tests.model.collision.exact_hulls import directions, hulls_meet, random_states
+from tests.model.collision.exact_hulls import directions, hulls_meet, random_boxes, random_states
 
+from momapos.core.geometry.transforms import invert, pose
 from momapos.model.collision.arm_collision import place_segments
 from momapos.model.collision.link_hulls import (
     BIN_CENTERS,
@@ -14,6 +17,7 @@ from momapos.model.collision.link_hulls import (
     MAX_SCANNED_VERTICES,
     climb,
     direction_bin,
+    hull_meets_box,
     hulls_overlap,
 )
 from momapos.model.collision.self_collision import arm_spheres
@@ -21,6 +25,7 @@ from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain, build_chain, chain_arrays
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
+from momapos.verification.convex import Body, overlap
 
 
 @pytest.fixture(scope="module")
@@ -82,3 +87,33 @@ def test_overlap_of_hulls_with_many_vertices_agrees_with_the_exact_check(
         meet.append(hulls_overlap(R, p, hulls.arrays, egg, pair[1], pair[1] + 1))
         assert meet[-1] == hulls_meet(spheres, Ts, pair)
     assert 0.05 < np.mean(meet) < 0.95
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.05])
+@pytest.mark.parametrize("cylinder", [False, True])
+def test_a_hull_meets_a_box_or_cylinder_as_in_the_exact_check(
+    arm: tuple[Chain, Spheres], *, cylinder: bool, gap: float
+) -> None:
+    chain, spheres = arm
+    hulls, rng = spheres.hulls, np.random.default_rng(1)
+    R, p = np.empty((chain.last + 1, 3, 3)), np.empty((chain.last + 1, 3))
+    boxes = random_boxes(300, rng, (-0.4, -0.4, -0.2), (0.9, 0.9, 0.9))
+    if cylinder:
+        boxes.half[:, 1] = boxes.half[:, 0]
+    arrays, found = (boxes.center, boxes.rotation, boxes.half), []
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    for b, q in enumerate(random_states(chain, len(boxes), rng)):
+        place_segments(q, np.zeros(3), chain_arrays(chain), R, p)
+        for h in range(hulls.of_group[-1]):
+            half, m = boxes.half[b], hulls.segment[h]
+            own = Body(hulls.vertices[hulls.first[h] : hulls.first[h + 1]], 0.0, gap)
+            ends = np.array([[0.0, 0.0, -half[2]], [0.0, 0.0, half[2]]])
+            other = Body(ends, half[0], 0.0) if cylinder else Body(half * corners, 0.0, 0.0)
+            T = invert(pose(p[m], R[m])) @ pose(boxes.center[b], boxes.rotation[b])
+            depth = overlap(other, own, np.ascontiguousarray(T))
+            met = hull_meets_box(R, p, hulls.arrays, h, arrays, b, cylinder, gap)
+            found.append((met, depth))
+    met, depth = np.array(found).T
+    assert met[depth > 1e-9].all()
+    assert not met[depth < -1e-4].any()
+    assert 0.1 < met.mean() < 0.9

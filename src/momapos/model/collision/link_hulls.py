@@ -1,6 +1,6 @@
 """The links of a robot as convex hulls, and whether two hulls overlap.
 
-GJK: a simplex of points of the difference of two hulls moves toward the origin. It ends if a
+GJK: a simplex of points of the difference of two bodies moves toward the origin. It ends if a
 direction separates the hulls, or if the simplex contains the origin. If rounding prevents that, the
 hulls count as overlapping, which is the safe side.
 
@@ -60,6 +60,9 @@ def _overlap(R, p, hulls, h, k):
     """Return whether no direction is found that separates two hulls."""
     m, n = hulls.segment[h], hulls.segment[k]
     toward = sub(moved(R, p, n, hulls.center[k]), moved(R, p, m, hulls.center[h]))
+    reach = hulls.radius[h] + hulls.radius[k] + hulls.margin
+    if dot(toward, toward) > reach * reach:
+        return False
     a = b = c = d = toward
     size = 0
     for _ in range(MAX_DIRECTIONS):
@@ -68,40 +71,114 @@ def _overlap(R, p, hulls, h, k):
             moved(R, p, m, hulls.vertices[farthest_vertex(R, m, hulls, h, toward, 1.0)]),
             moved(R, p, n, hulls.vertices[farthest_vertex(R, n, hulls, k, toward, -1.0)]),
         )
-        if hulls.margin > 0.0:  # Minkowski sum with a ball of that radius
-            out = hulls.margin / max(math.sqrt(dot(toward, toward)), 1e-12)
-            a = (a[0] + out * toward[0], a[1] + out * toward[1], a[2] + out * toward[2])
+        a = _grown(a, toward, hulls.margin)
         if dot(a, toward) < 0.0:
             return False
-        size += 1
-        ab, ac, ad = sub(b, a), sub(c, a), sub(d, a)
-        # Reduce the simplex to the face, edge or point beyond which the origin is.
+        size, b, c, toward = _next_simplex(a, b, c, d, size + 1)
         if size == 4:
-            if dot(cross(ab, ac), a) < 0.0:
-                size = 3
-            elif dot(cross(ac, ad), a) < 0.0:
-                size, b, c, ab, ac = 3, c, d, ac, ad
-            elif dot(cross(ad, ab), a) < 0.0:
-                size, b, c, ab, ac = 3, d, b, ad, ab
-            else:
-                return True
-        if size == 3:
-            toward = cross(ab, ac)
-            if dot(cross(toward, ac), a) < 0.0:
-                size = 2
-                if dot(ac, a) < 0.0:
-                    b, ab = c, ac
-            elif dot(cross(ab, toward), a) < 0.0:
-                size = 2
-            elif dot(toward, a) > 0.0:
-                b, c, toward = c, b, cross(ac, ab)
-        if size == 2:
-            toward = cross(cross(a, ab), ab)
-            if dot(ab, a) >= 0.0:
-                size = 1
-        if size == 1:
-            toward = (-a[0], -a[1], -a[2])
+            return True
     return True
+
+
+@kernel
+def hull_meets_box(R, p, hulls, h, boxes, b, cylinder, gap):
+    """Return whether no direction is found that separates a hull from a box by a gap.
+
+    Args:
+        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3).
+        hulls: `HullArrays`.
+        h: The hull.
+        boxes: Centers, rotations and half edges of boxes.
+        b: The box.
+        cylinder: Whether it stands for the cylinder in it, about its third axis.
+        gap: Required distance [m].
+    """
+    center, rotation, half = boxes
+    m = hulls.segment[h]
+    middle = moved(R, p, m, hulls.center[h])
+    toward = (center[b, 0] - middle[0], center[b, 1] - middle[1], center[b, 2] - middle[2])
+    a = i = j = k = toward
+    size = 0
+    for _ in range(MAX_DIRECTIONS):
+        i, j, k = a, i, j
+        a = sub(
+            moved(R, p, m, hulls.vertices[farthest_vertex(R, m, hulls, h, toward, 1.0)]),
+            _farthest_against(center, rotation, half, b, cylinder, toward),
+        )
+        a = _grown(a, toward, gap)
+        if dot(a, toward) < 0.0:
+            return False
+        size, i, j, toward = _next_simplex(a, i, j, k, size + 1)
+        if size == 4:
+            return True
+    return True
+
+
+@kernel
+def _farthest_against(center, rotation, half, b, cylinder, toward):
+    """Return the point of box b, or of the cylinder in it, that is farthest against a direction."""
+    x, y, z = toward
+    u = x * rotation[b, 0, 0] + y * rotation[b, 1, 0] + z * rotation[b, 2, 0]
+    v = x * rotation[b, 0, 1] + y * rotation[b, 1, 1] + z * rotation[b, 2, 1]
+    w = x * rotation[b, 0, 2] + y * rotation[b, 1, 2] + z * rotation[b, 2, 2]
+    if cylinder:
+        share = half[b, 0] / max(math.sqrt(u * u + v * v), 1e-12)
+        u, v = -share * u, -share * v
+    else:
+        u, v = -math.copysign(half[b, 0], u), -math.copysign(half[b, 1], v)
+    w = -math.copysign(half[b, 2], w)
+    return (
+        center[b, 0] + rotation[b, 0, 0] * u + rotation[b, 0, 1] * v + rotation[b, 0, 2] * w,
+        center[b, 1] + rotation[b, 1, 0] * u + rotation[b, 1, 1] * v + rotation[b, 1, 2] * w,
+        center[b, 2] + rotation[b, 2, 0] * u + rotation[b, 2, 1] * v + rotation[b, 2, 2] * w,
+    )
+
+
+@kernel
+def _grown(a, toward, margin):
+    """Return a point of a difference of bodies, after a Minkowski sum with a ball."""
+    if margin > 0.0:
+        out = margin / max(math.sqrt(dot(toward, toward)), 1e-12)
+        return a[0] + out * toward[0], a[1] + out * toward[1], a[2] + out * toward[2]
+    return a
+
+
+@kernel
+def _next_simplex(a, b, c, d, size):
+    """Reduce a simplex to the face, edge or point beyond which the origin is.
+
+    Returns:
+        The size of the simplex, 4 if it contains the origin; its points besides a; and the
+        direction in which the origin is.
+    """
+    ab, ac, ad = sub(b, a), sub(c, a), sub(d, a)
+    toward = a
+    if size == 4:
+        if dot(cross(ab, ac), a) < 0.0:
+            size = 3
+        elif dot(cross(ac, ad), a) < 0.0:
+            size, b, c, ab, ac = 3, c, d, ac, ad
+        elif dot(cross(ad, ab), a) < 0.0:
+            size, b, c, ab, ac = 3, d, b, ad, ab
+        else:
+            return 4, b, c, toward
+    if size == 3:
+        toward = cross(ab, ac)
+        if dot(cross(toward, ac), a) < 0.0:
+            size = 2
+            if dot(ac, a) < 0.0:
+                b, ab = c, ac
+        elif dot(cross(ab, toward), a) < 0.0:
+            size = 2
+        elif dot(toward, a) > 0.0:
+            b, c, toward = c, b, cross(ac, ab)
+    if size == 2:
+        toward = cross(cross(a, ab), ab)
+        if dot(ab, a) >= 0.0:
+            size = 1
+    if size == 1:
+        toward = (-a[0], -a[1], -a[2])
+    return size, b, c, toward
 
 
 @kernel
@@ -203,6 +280,8 @@ class LinkHulls:
     """Vertices of hull h are first[h]:first[h + 1]."""
     center: Float[np.ndarray, "hulls 3"]
     """An interior point of each hull [m]."""
+    radius: Float[np.ndarray, " hulls"]
+    """Largest distance of a vertex from it [m]."""
     segment: Int[np.ndarray, " hulls"]
     of_group: Int[np.ndarray, " groups_plus_1"]
     """Hulls of group g are of_group[g]:of_group[g + 1]."""
@@ -221,8 +300,8 @@ class LinkHulls:
     def arrays(self) -> HullArrays:
         """Return the hulls as an argument of kernels."""
         return HullArrays(
-            self.vertices, self.first, self.center, self.segment, self.of_group, self.of_base,
-            self.neighbors, self.neighbors_from, self.begin, self.margin,
+            self.vertices, self.first, self.center, self.radius, self.segment, self.of_group,
+            self.of_base, self.neighbors, self.neighbors_from, self.begin, self.margin,
         )  # fmt: skip
 
 
@@ -239,7 +318,7 @@ def link_hulls(
     """
     links = [(link, hull) for link in (*moving, *standing) for hull in model.hulls[link]]
     vertices = [apply(segments.T_segment_link[link], hull.vertices) for link, hull in links]
-    first = np.cumsum([0, *map(len, vertices)])
+    first, center = np.cumsum([0, *map(len, vertices)]), [points.mean(0) for points in vertices]
     counts = [len(model.hulls[link]) for link in moving]
     boxes = [len(boxes) for link in standing for boxes in model.boxes[link]]
     many = [k for k, points in enumerate(vertices) if len(points) > MAX_SCANNED_VERTICES]
@@ -252,7 +331,10 @@ def link_hulls(
     return LinkHulls(
         vertices=np.concatenate([np.zeros((0, 3)), *vertices]),
         first=first,
-        center=np.array([points.mean(0) for points in vertices]).reshape(-1, 3),
+        center=np.array(center).reshape(-1, 3),
+        radius=np.array(
+            [np.linalg.norm(v - c, axis=1).max() for v, c in zip(vertices, center, strict=True)]
+        ),
         segment=np.array([segments.of_link[link] for link, _ in links], np.int64),
         of_group=np.cumsum([0, *counts]),
         of_base=np.repeat(sum(counts) + np.arange(len(boxes)), boxes),

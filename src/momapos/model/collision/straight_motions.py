@@ -1,8 +1,6 @@
 """Check straight motions of an arm at one base pose: for collisions, and for what motors bear.
 
-A link and a box are apart if a plane along a face of the box separates their hulls, or a plane
-along the axis of a cylinder. Links next to an edge may be apart without such a plane; for them the
-spheres' answer stands.
+Spheres find the pairs of a link and a box that may touch; for these the link's hulls decide.
 """
 
 from __future__ import annotations
@@ -22,11 +20,9 @@ from momapos.model.kinematics import (
     LoadScratch,
     TaskState,
     chain_arrays,
-    dot,
     load_excess,
     load_scratch,
     state_loads,
-    sub,
 )
 
 from .arm_collision import (
@@ -45,15 +41,11 @@ from .arm_collision import (
     set_states,
 )
 from .collision_world import CollisionWorld, bucket_at, collision_arrays, static_gap
-from .link_hulls import farthest_vertex, moved
+from .link_hulls import hull_meets_box, moved
 from .spheres import Spheres
 
 if TYPE_CHECKING:
     from jaxtyping import Float
-
-
-MAX_PLANES = 8
-"""Largest number of planes tried along a cylinder; usually 3 are enough [-]."""
 
 
 @kernel
@@ -119,80 +111,15 @@ def _hits_static(R, p, g, spheres, world, margin):
 
 @kernel
 def _apart(R, p, hulls, g, boxes, b, cylinder, margin):
-    """Return whether planes along the faces of box b separate it from all hulls of a group."""
-    center, rotation, half = boxes
+    """Return whether box b is separate from all hulls of a group."""
     first, last = hulls.of_group[g], hulls.of_group[g + 1]
     if first == last:
         return False
     gap = margin + hulls.margin
     for h in range(first, last):
-        segment, separated = hulls.segment[h], False
-        c = moved(R, p, segment, hulls.center[h])
-        if cylinder and _beside(R, p, hulls, h, c, boxes, b, gap):
-            continue
-        for k in range(2 if cylinder else 0, 3):
-            n = (rotation[b, 0, k], rotation[b, 1, k], rotation[b, 2, k])
-            side = _along(c, center, n, b)
-            sign = -1.0 if side > 0.0 else 1.0
-            if abs(side) <= half[b, k] + gap:
-                continue
-            v = farthest_vertex(R, segment, hulls, h, n, sign)
-            nearest = moved(R, p, segment, hulls.vertices[v])
-            if -sign * _along(nearest, center, n, b) >= half[b, k] + gap:
-                separated = True
-                break
-        if not separated:
+        if hull_meets_box(R, p, hulls, h, boxes, b, cylinder, gap):
             return False
     return True
-
-
-@kernel
-def _beside(R, p, hulls, h, c, boxes, b, gap):
-    """Return whether a plane along the axis of cylinder b separates it from hull h.
-
-    Gilbert's method in the plane across the axis: x is a point of the hull's projection, which
-    moves toward the axis.
-
-    Args:
-        c: The center of the hull.
-        gap: Required distance [m].
-    """
-    center, rotation, half = boxes
-    n = (rotation[b, 0, 2], rotation[b, 1, 2], rotation[b, 2, 2])
-    x, needed = _across(c, center, n, b), half[b, 0] + gap
-    for _ in range(MAX_PLANES):
-        distance = np.sqrt(dot(x, x))
-        if distance <= needed:
-            return False
-        v = farthest_vertex(R, hulls.segment[h], hulls, h, x, -1.0)
-        y = _across(moved(R, p, hulls.segment[h], hulls.vertices[v]), center, n, b)
-        if dot(x, y) >= needed * distance:
-            return True
-        step = sub(y, x)
-        share = min(max(-dot(x, step) / max(dot(step, step), 1e-300), 0.0), 1.0)
-        x = (x[0] + share * step[0], x[1] + share * step[1], x[2] + share * step[2])
-    return False
-
-
-@kernel
-def _across(point, center, n, b):
-    """Return the vector from the axis of cylinder b, whose direction is n, to a point."""
-    along = _along(point, center, n, b)
-    return (
-        point[0] - center[b, 0] - along * n[0],
-        point[1] - center[b, 1] - along * n[1],
-        point[2] - center[b, 2] - along * n[2],
-    )
-
-
-@kernel
-def _along(point, center, n, b):
-    """Return how far a point is from the center of box b along a direction."""
-    return (
-        (point[0] - center[b, 0]) * n[0]
-        + (point[1] - center[b, 1]) * n[1]
-        + (point[2] - center[b, 2]) * n[2]
-    )
 
 
 class HandLoad(NamedTuple):

@@ -123,6 +123,7 @@ class HullArrays(NamedTuple):
     vertices: F2
     first: I1
     center: F2
+    radius: F1
     segment: I1
     of_group: I1
     of_base: I1
