@@ -1,7 +1,7 @@
 """Check motions exactly: one verifier per task checks many motions.
 
 The planner's spheres, boxes and kinematics are not used. Shapes are the collision elements
-themselves, a mesh as its hull; states are no farther apart than in execution.
+themselves, a mesh as its hull or its convex pieces; states are no farther apart than in execution.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from momapos.model.records import Motion, MotionLoads, Outline, PlacementPlan, T
 from momapos.model.scene import ResistanceConfig, Scene, area_name
 
 from . import path_checks as paths
-from .exact_shapes import Shapes
+from .exact_shapes import Shapes, without_piece
 from .hand_checks import DEPTH_CHECK, HandChecker
 from .motion_loads import (
     CarriedLoad,
@@ -554,7 +554,7 @@ def _above_floor(
     worst, where, culprit = float(depth.max(initial=0.0)), "", ""
     if worst > 0.0:
         state, index = np.unravel_index(int(depth.argmax()), depth.shape)
-        where, culprit = path.where(int(state)), arm.names[index]
+        where, culprit = path.where(int(state)), without_piece(arm.names[index])
     return at_most(
         "arm below the floor", 1000 * worst, 1000 * limits.penetration, "mm deep", where, culprit
     )

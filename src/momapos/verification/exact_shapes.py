@@ -1,6 +1,6 @@
 """Collision elements as convex shapes for the exact check: primitives, and meshes as hulls.
 
-Hollow meshes of furniture that stands still are convex pieces.
+Hollow meshes of robots, and of furniture that stands still, are convex pieces.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 MAX_SURFACE_TRIANGLES = 100_000
 """Meshes with more triangles count as their hulls [-]."""
 _SOLID = re.compile(r" \((hull|piece) of .*\)$")
+_NUMBERED = re.compile(r" \(piece \d+ of .*\)$")
 _TESTED_TRIANGLES = 20_000
 """Meshes with more triangles count as concave; the test would take seconds [-]."""
 _RIM = 64
@@ -253,6 +254,16 @@ def shapes_of(model: Articulated, bodies: LinkBodies) -> Shapes:
 def moving_names(model: Articulated) -> tuple[str, ...]:
     """Return a name of each of `shapes_of` for messages: its link, and whether it is a hull."""
     return tuple(solid.label(name, static=False) for name, _, solid in _static_elements(model))
+
+
+def piece_names(model: Articulated) -> tuple[str, ...]:
+    """Return a name of each of `shapes_of` of a robot for messages: its link, and which piece."""
+    return tuple(f"{n} ({shape.piece})" if shape.piece else n for n, shape in elements_of(model))
+
+
+def without_piece(name: str) -> str:
+    """Return a name without the number of a piece, see `piece_names`."""
+    return _NUMBERED.sub("", name)
 
 
 def link_of_label(label: str) -> str:

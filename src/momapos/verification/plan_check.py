@@ -14,7 +14,7 @@ from momapos.model.plan_files import TourFile, changed_files, read_plan, read_to
 from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot, read_srdf
 from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions, with_overrides
-from momapos.model.urdf import Articulated, read_urdf
+from momapos.model.urdf import Articulated, in_convex_pieces, read_urdf
 
 from . import path_checks as paths
 from .exact_check import PlanVerifier
@@ -249,7 +249,7 @@ def _arm(
 ) -> UrdfArm:
     """Read the robot that a plan names; what its robot file states has priority over the plan."""
     disabled = frozenset() if srdf is None else read_srdf(srdf)
-    record = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
+    record = in_convex_pieces(read_urdf(urdf, cache=cache, visuals=False, actuated=True), cache)
     rest = dict(plan.robot_rest) if own is None else {**own.model.held, **plan.robot_rest}
     return UrdfArm(
         Articulated(record, rest, cache), plan.base_link, plan.tool_link, plan.joints, disabled,

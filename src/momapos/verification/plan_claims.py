@@ -27,7 +27,7 @@ from momapos.model.scene import (
     object_mass,
     stated_resistance,
 )
-from momapos.model.urdf import Articulated, Joint, Urdf
+from momapos.model.urdf import Articulated, Geometry, Joint, Urdf
 
 from .report import Check, Limits, at_most, verdict
 
@@ -224,7 +224,7 @@ def urdf_difference(one: Urdf, other: Urdf) -> str:
         if not _close(*map(np.array, masses)):
             return f"link {name}: mass {link.mass:g} kg, the robot file has {stated.mass:g} kg"
         shapes = [
-            [(shape.kind, _mesh_name(shape.mesh)) for shape in both.collisions]
+            [(shape.kind, _mesh_name(shape)) for shape in both.collisions]
             for both in (link, stated)
         ]
         if shapes[0] != shapes[1] or not all(
@@ -252,8 +252,8 @@ def _close(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> bo
     return bool(np.allclose(one, other, rtol=MAX_URDF_DIFFERENCE, atol=MAX_URDF_DIFFERENCE))
 
 
-def _mesh_name(mesh: object) -> str:
-    return mesh.name if isinstance(mesh, Path) else ""
+def _mesh_name(shape: Geometry) -> str:
+    return shape.mesh.name if isinstance(shape.mesh, Path) else shape.piece
 
 
 def _words(value: str | tuple[str, ...]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from momapos.core import RobotError, owner_cache, unknown_name
 from momapos.core.geometry import invert, pose_planar
 from momapos.model.urdf import Articulated
 
-from .exact_shapes import Shapes, of_bodies, prepared
+from .exact_shapes import Shapes, of_bodies, piece_names, prepared
 from .link_bodies import LinkBodies, body_poses
 from .sweep import all_pairs
 
@@ -122,6 +122,7 @@ def _robot_collision_model(
     pairs = self_pairs(bodies, shapes, moved)
     named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
     pairs = pairs[~np.array(named, bool)]
+    shapes = replace(shapes, names=piece_names(model))
     return RobotCollisionModel(
         bodies=bodies,
         joints=arm_joints,

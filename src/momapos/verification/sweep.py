@@ -15,7 +15,7 @@ import numpy as np
 from momapos.core.compiled import F1, F3, F4, I2, entry, kernel
 
 from .convex import TOLERANCE, Body, overlap
-from .exact_shapes import ShapeArrays, Shapes
+from .exact_shapes import ShapeArrays, Shapes, without_piece
 from .report import Check, at_most
 
 if TYPE_CHECKING:
@@ -253,6 +253,7 @@ class Overlaps:
     def __init__(self, limit: float) -> None:
         self.limit = limit
         self.worst: dict[tuple[str, str], tuple[float, str]] = {}
+        """Depth [m], and in words which shapes overlap and where, by pair of links."""
 
     def add(
         self,
@@ -284,18 +285,17 @@ class Overlaps:
         """Add pairs of shapes by their deepest overlap [m] and its state, see `deepest`."""
         for p in np.flatnonzero(state >= 0):
             names = (a.names[pairs[p, 0]], b.names[pairs[p, 1]])
-            names = names[::-1] if swapped else names
-            if depth[p] > self.worst.get(names, (-np.inf, ""))[0]:
-                self.worst[names] = (float(depth[p]), where(int(state[p])))
+            one, other = names[::-1] if swapped else names
+            pair, deep = (without_piece(one), without_piece(other)), float(depth[p])
+            if deep > self.worst.get(pair, (-np.inf, ""))[0]:
+                words = f"{one} and {other} overlap by {1000 * deep:.0f} mm at "
+                self.worst[pair] = deep, words + where(int(state[p]))
 
     def check(self, name: str) -> Check:
         ranked = sorted(self.worst.items(), key=lambda item: -item[1][0])
         deep = ranked[0][1][0] if ranked else min(0.0, self.limit)
-        bad = [(names, d, at) for names, (d, at) in ranked if d > self.limit]
-        words = [
-            f"{a} and {b} overlap by {1000 * d:.0f} mm at {at}"
-            for (a, b), d, at in bad[:MAX_NAMED_PAIRS]
-        ]
+        bad = [(pair, text) for pair, (d, text) in ranked if d > self.limit]
+        words = [text for _, text in bad[:MAX_NAMED_PAIRS]]
         more = (
             [f"and {len(bad) - MAX_NAMED_PAIRS} more pairs"] if len(bad) > MAX_NAMED_PAIRS else []
         )

@@ -31,7 +31,15 @@ from momapos.core.geometry import pose
 from momapos.model.collision import FREE, arm_spheres, build_motions, build_world, check
 from momapos.model.kinematics import build_chain
 from momapos.model.robots import library_names, load_robot, read_srdf
-from momapos.model.urdf import Articulated, Boxes, Joint, Link, MovingBoxes, read_urdf
+from momapos.model.urdf import (
+    Articulated,
+    Boxes,
+    Joint,
+    Link,
+    MovingBoxes,
+    in_convex_pieces,
+    read_urdf,
+)
 from momapos.planning.arm_motion import RESOLUTION, PlannerConfig, plan_with_clearance
 
 from .bench_records import from_plain, to_plain
@@ -456,7 +464,7 @@ def _other_group(name: str, problem: ArmProblem, own: frozenset[str]) -> str:
 
 def _arm_of_urdf(path: Path, problem: ArmProblem) -> _Arm:
     """Return the arm of a URDF on a stand, with its other joints as at the start of a problem."""
-    urdf = read_urdf(path, cache=USER_CACHE, visuals=False)
+    urdf = in_convex_pieces(read_urdf(path, cache=USER_CACHE, visuals=False), USER_CACHE)
     movable = {joint.name: joint for joint in urdf.joints if joint.movable}
     lacking = sorted(set(problem.goal) - set(movable))
     if lacking:

@@ -27,6 +27,7 @@ from momapos.model.urdf import (
     Urdf,
     check_coupled,
     fix_root_joints,
+    in_convex_pieces,
     leader_of,
     link_of,
     mimics,
@@ -124,7 +125,7 @@ class Amendments:
         return tostring(tree, encoding="unicode")
 
     def read(self, urdf: Path, cache: Cache | None = None) -> tuple[Urdf, str | None]:
-        """Read a URDF with all additions.
+        """Read a URDF with all additions, its hollow meshes in convex pieces.
 
         Returns:
             The model, and its `text`.
@@ -134,10 +135,11 @@ class Amendments:
         """
         text = self.text(urdf)
         if text is None:
-            return read_urdf(urdf, cache=cache, visuals=False, actuated=True), None
-        model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path, actuated=True)
-        check_coupled(model, self.coupled, f"{urdf} (coupled)")
-        return model, text
+            model = read_urdf(urdf, cache=cache, visuals=False, actuated=True)
+        else:
+            model = read_urdf(urdf, cache=cache, text=text, find_mesh=Path, actuated=True)
+            check_coupled(model, self.coupled, f"{urdf} (coupled)")
+        return in_convex_pieces(model, cache), text
 
     def _read(self, urdf: Path, content: str | None = None) -> Element:
         """Return the XML tree of a URDF with absolute mesh paths."""

@@ -2,6 +2,7 @@ from .articulated import Articulated as Articulated
 from .articulated import JointOpening as JointOpening
 from .articulated import StaticElement as StaticElement
 from .articulated import hull_space as hull_space
+from .articulated import in_convex_pieces as in_convex_pieces
 from .articulated import opening_of as opening_of
 from .articulated import opens_both_ways as opens_both_ways
 from .code_meshes import mesh_model as mesh_model

@@ -173,6 +173,8 @@ MIN_DEPTH = 0.005
 """A free cell counts if its center is at least this deep in the hull [m]."""
 MAX_TRIANGLES = 20_000
 """Larger meshes stay one hull, since cutting them takes seconds [-]."""
+MAX_DISTANCES = 4_000_000
+"""Largest number of distances of points to planes in memory at once [-]."""
 MAX_FLAT_FACES = 8
 """Number of flat faces that bound slabs, largest first [-]."""
 CUT_OFFSET = 2e-4
@@ -191,12 +193,23 @@ class CutConfig:
     """A hull that contains more free space is cut; about the volume of a fingertip [m^3]."""
     max_pieces: int = 24
     """Largest number of pieces of a mesh [-]."""
+    max_triangles: int = MAX_TRIANGLES
+    """Larger meshes stay one hull [-]."""
     max_slabs: int = 10
     """Largest number of slabs of equal thickness per axis, in addition to those at flat faces."""
     min_slab: float = 0.003
     """Smallest distance of flat faces that bound different slabs [m]."""
     min_even_slab: float = 0.012
     """Smallest thickness of slabs of equal thickness [m]."""
+    min_free_share: float = 0.0
+    """A mesh is hollow if at least this share of its hull is free [-]."""
+    min_free_volume: float = 0.0
+    """A mesh is hollow if its hull has at least this free volume [m^3]."""
+    max_remaining: float = 1.0
+    """The pieces of a hollow mesh are used if they have at most this share of the hull's volume
+    [-]."""
+    max_added: float = 0.0
+    """Two of these pieces are merged if that adds at most this share of the hull's volume [-]."""
 
 
 FINE = CutConfig()
@@ -288,7 +301,7 @@ def convex_pieces(
         Points of each piece; one piece if the surface is nearly convex or has too many triangles.
     """
     points = triangles.reshape(-1, 3)
-    if not 0 < len(triangles) <= MAX_TRIANGLES or not is_concave(triangles):
+    if not 0 < len(triangles) <= config.max_triangles or not is_concave(triangles):
         return [points]
     rotation = fit_box(points)[1]
     surface = close_rims(triangles) @ rotation
@@ -325,7 +338,11 @@ def is_concave(triangles: Float[np.ndarray, "t 3 3"]) -> bool:
     middles = (triangles + triangles[:, [1, 2, 0]]).reshape(-1, 3) / 2
     points = np.concatenate([triangles.reshape(-1, 3), middles, triangles.mean(1)])
     planes = _hull_planes(triangles).planes
-    return bool((points @ planes[:, :3].T + planes[:, 3]).max(1).min() < -MIN_DEPTH)
+    size = max(1, MAX_DISTANCES // len(planes))
+    blocks = (points[first : first + size] for first in range(0, len(points), size))
+    return any(
+        (block @ planes[:, :3].T + planes[:, 3]).max(1).min() < -MIN_DEPTH for block in blocks
+    )
 
 
 def _piece(triangles: Float[np.ndarray, "t 3 3"], free: _FreeCells) -> _Piece:

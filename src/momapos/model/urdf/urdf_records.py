@@ -41,6 +41,8 @@ class Geometry:
     """Name of the `collision` or `visual` element, often empty."""
     mesh: Path | Mesh | None = None
     """File of a mesh, or the mesh itself if it was made in code."""
+    piece: str = ""
+    """Number and mesh of a convex piece, in words; "" for a whole shape."""
 
 
 @dataclass(frozen=True)
