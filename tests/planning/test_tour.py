@@ -142,6 +142,7 @@ def test_a_tour_keeps_the_plans_that_it_has_when_its_time_is_over_or_it_is_inter
     monkeypatch.setattr("momapos.planning.tour.plan_placement", late)
     file = tmp_path / "tour.json"
     tasks = [*WORDS[:4], "then", "pick", "cup", "then", "close", "/".join(DRAWER), *WORDS[-2:]]
+    tasks += ["--set", "place.grid=false"]
     handler = signal.getsignal(signal.SIGINT)
     assert main([*tasks, "--out", str(file)]) == status
     assert "2 further tasks have no answer yet" in capsys.readouterr().out
