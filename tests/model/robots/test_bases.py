@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose
 from tests import optional
 from tests.commands import error_of
@@ -23,10 +24,11 @@ from tests.model.robots.rovers import (
     rover,
 )
 from tests.real import CASES
-from tests.urdf_parts import box, joint, link
+from tests.urdf_parts import box, fixed_arm, joint, link
 
+from momapos.core.errors import RobotError
 from momapos.model.robots.robot import load_robot
-from momapos.model.robots.robot_tests import examine
+from momapos.model.robots.robot_tests import examine, examine_at_rest
 
 PAIR = at([(0.0, 0.2), (0.0, -0.2)])
 DRIVES: dict[str, tuple[list[Axle], str, str]] = {
@@ -147,32 +149,139 @@ def test_public_bases_are_recognized(tmp_path: Path, name: str, drive: str) -> N
 
 
 FIXED = "".join(
-    link(f"wheel{k}", DISC) + joint(f"axle{k}", "fixed", "chassis", f"wheel{k}", f"{x} {y} 0.1")
+    link(f"wheel{k}", DISC, rpy="1.5707963 0 0")
+    + joint(f"axle{k}", "fixed", "chassis", f"wheel{k}", f"{x} {y} 0.1")
     for k, (x, y) in enumerate(CORNERS)
 )
 """Wheels that a file only draws."""
 PLUGINS = {
-    "libgazebo_ros_planar_move.so": "omni",
-    "gz-sim-mecanum-drive-system": "omni",
-    "libgazebo_ros_diff_drive.so": "differential",
-    "libgazebo_ros_range.so": "differential",
+    "libgazebo_ros_planar_move.so": ("omni", False),
+    "libgazebo_ros_force_based_move.so": ("omni", False),
+    "gz-sim-mecanum-drive-system": ("omni", False),
+    "libgazebo_ros_diff_drive.so": ("differential", False),
+    "libgazebo_ros_skid_steer_drive.so": ("differential", False),
+    "libgazebo_ros_range.so": ("differential", True),
 }
+"""Plugins, and the drive of wheels with parallel axles with each; whether that is doubted."""
 
 
 @pytest.mark.parametrize("plugin", PLUGINS)
-def test_where_no_wheels_tell_the_plugin_of_the_simulation_does(
-    tmp_path: Path, plugin: str
+@pytest.mark.parametrize("wheels", ["fixed", "rolling"])
+def test_wheels_with_parallel_axles_and_the_plugin_of_the_simulation_are_weighed_together(
+    tmp_path: Path, plugin: str, wheels: str
 ) -> None:
     gazebo = f'<gazebo><plugin name="drive" filename="{plugin}"/></gazebo>'
-    robot, words = derived(tmp_path, rover([], more=FIXED + gazebo))
-    assert robot.drive == PLUGINS[plugin]
-    assert (plugin in words) == (robot.drive == "omni")
+    axles, more = ([], FIXED) if wheels == "fixed" else (at(CORNERS), "")
+    robot, words = derived(tmp_path, rover(axles, more=more + gazebo))
+    drive, doubted = PLUGINS[plugin]
+    assert robot.drive == drive
+    assert (plugin in words) is not doubted
+    assert ("IMPORTANT: drive" in words) is doubted
 
 
-def test_wheels_count_more_than_the_plugin_of_the_simulation(tmp_path: Path) -> None:
-    gazebo = '<gazebo><plugin name="drive" filename="libgazebo_ros_planar_move.so"/></gazebo>'
-    robot, _ = derived(tmp_path, rover(PAIR, more=gazebo))
-    assert robot.drive == "differential"
+@pytest.mark.parametrize(
+    ("axles", "drive"), [(PAIR, "differential"), (ring(3), "omni"), (at(REAR), "differential")]
+)
+def test_wheels_that_contradict_the_plugin_of_the_simulation_are_doubted(
+    tmp_path: Path, axles: list[Axle], drive: str
+) -> None:
+    plugin = "planar_move" if drive == "differential" else "diff_drive"
+    gazebo = f'<gazebo><plugin name="drive" filename="libgazebo_ros_{plugin}.so"/></gazebo>'
+    robot, words = derived(tmp_path, rover(axles, more=gazebo))
+    assert robot.drive == drive
+    assert words.startswith(f"IMPORTANT: drive: libgazebo_ros_{plugin}.so drives it")
+
+
+def test_fixed_wheels_show_the_axle_of_a_car(tmp_path: Path) -> None:
+    rear = FIXED[FIXED.index('<link name="wheel2">') :]
+    robot, words = derived(tmp_path, rover(at(FRONT, steering=0.46), more=rear))
+    assert robot.drive == "car"
+    assert robot.min_turning_radius == pytest.approx(0.4 / math.tan(0.46) + 0.2, rel=0.02)
+    assert "wheel2 and wheel3 cannot roll in this file" in words
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_the_axle_of_a_fixed_wheel_is_that_of_its_shape(tmp_path: Path, *, mesh: bool) -> None:
+    """A wheel that is 12 cm high and 9 cm wide is round about one axis only."""
+    shape = '<cylinder radius="0.06" length="0.09"/>'
+    if mesh:
+        trimesh.creation.cylinder(0.06, 0.09).export(tmp_path / "wheel.stl")
+        shape = '<mesh filename="wheel.stl"/>'
+    more = "".join(
+        link(name, shape, rpy="1.5707963 0 0") + joint(name, "fixed", "chassis", name, place)
+        for name, place in (("left_wheel", "0 0.2 0.06"), ("right_wheel", "0 -0.2 0.06"))
+    )
+    robot, words = derived(tmp_path, rover([], more=more))
+    assert robot.base_link == "chassis"
+    assert "its 2 driven wheels share one axle" in words
+
+
+LOW = {
+    "rolling wheels": (at([(0.0, 0.2), (0.0, -0.2)], name="wheel"), "", "0.126"),
+    "wheels without a name": (at(CORNERS), "", "0.126"),
+    "fixed wheels": ([], FIXED, "0.126"),
+    "wheels 8 mm below": (PAIR, "", "0.108"),
+}
+
+
+@pytest.mark.parametrize("name", LOW)
+def test_wheels_below_the_base_link_lift_the_robot(tmp_path: Path, name: str) -> None:
+    axles, more, radius = LOW[name]
+    text = rover(axles, more=more).replace('radius="0.1"', f'radius="{radius}"')
+    robot, words = derived(tmp_path, text)
+    assert robot.base_link == "base_floor"
+    poses = robot.model.rest_poses
+    height = poses["chassis"][2, 3] - poses["base_floor"][2, 3]
+    assert height == pytest.approx(float(radius) - 0.1, abs=0.0015)
+    assert "below chassis" in words
+    assert examine(robot) == []
+
+
+def test_a_robot_file_whose_wheels_are_below_the_floor_is_doubted(tmp_path: Path) -> None:
+    robot, _ = derived(tmp_path, rover(PAIR))
+    path = tmp_path / "rover.urdf"
+    path.write_text(path.read_text().replace('radius="0.1"', 'radius="0.12"'))
+    lowered = load_robot(robot.path)
+    (doubt,) = [text for text in examine(lowered) if "lowest point" in text]
+    assert "-0.021 m above z = 0 of chassis" in doubt
+    assert examine_at_rest(lowered)[2].passed is False
+
+
+def foot(shape: str, xyz: str) -> str:
+    """Return an arm whose plate stands on another body that nothing drives."""
+    body = link("body", shape, xyz) + joint("bolts", "fixed", "body", "plate", "0 0 0.2")
+    return fixed_arm().replace("</robot>", f"{body}</robot>")
+
+
+SMALL = {
+    "box": foot(box(0.19, 0.17, 0.18), "0 0 0.09"),
+    "box under the arm": fixed_arm().replace(
+        link("plate", box(0.1, 0.1, 0.04)), link("plate", box(0.19, 0.19, 0.12), "0 0 0.06")
+    ),
+    "drum": foot('<cylinder radius="0.09" length="0.18"/>', "0 0 0.09"),
+}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_small_body_that_stands_on_the_floor_is_a_base(tmp_path: Path, name: str) -> None:
+    robot, words = derived(tmp_path, SMALL[name])
+    assert np.ptp(robot.footprint, axis=0).max() < 0.2
+    assert "IMPORTANT: there are no wheels" in words
+
+
+FEET = {
+    "plate": fixed_arm(),
+    "plate on the floor": foot(box(0.15, 0.15, 0.04), "0 0 0.02"),
+    "round foot": fixed_arm().replace(
+        box(0.1, 0.1, 0.04), '<cylinder radius="0.08" length="0.1"/>'
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FEET)
+def test_the_foot_of_an_arm_is_no_base(tmp_path: Path, name: str) -> None:
+    with pytest.raises(RobotError, match="the arm has no base"):
+        derived(tmp_path, FEET[name])
 
 
 @pytest.mark.parametrize("name", ["three wheels in a ring", "two wheels"])

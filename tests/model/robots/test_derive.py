@@ -78,7 +78,8 @@ def test_virtual_driving_joints_are_not_part_of_the_arm(tmp_path: Path) -> None:
     derived = derive_robot(path)
     assert 'base_link = "base_link"' in derived.toml
     assert '["lift", "j0"' in derived.toml
-    assert "drive_x, drive_y, drive_yaw represent driving" in derived.assumptions[0]
+    assert "drive_x, drive_y slide: use omni" in derived.assumptions[0]
+    assert "drive_x, drive_y, drive_yaw represent driving" in derived.assumptions[1]
 
 
 def test_a_base_above_the_floor_gets_a_frame_there(tmp_path: Path) -> None:

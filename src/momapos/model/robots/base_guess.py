@@ -19,6 +19,7 @@ from .running_gear import (
     MIN_TRAIL,
     OMNI,
     WHEEL,
+    DrivePlugin,
     RunningGear,
     Wheel,
     drawn_meshes,
@@ -60,6 +61,8 @@ class DriveGuess:
     """That middle in the anchor's frame [m]: the point that never moves sideways."""
     doubt: str = ""
     """What the user should check."""
+    skids: bool = False
+    """Whether its wheels roll along parallel axles only, so that it skids in turns."""
 
 
 def drive_by_wheels(model: Articulated) -> DriveGuess | None:
@@ -75,7 +78,19 @@ def drive_by_wheels(model: Articulated) -> DriveGuess | None:
 
 
 def drive_of(gear: RunningGear) -> DriveGuess | None:
-    """Derive the drive of a base from its wheels; None if it has no wheels that drive it."""
+    """Derive the drive of a base from its wheels; None if it has no wheels that drive it.
+
+    Wheels that the file fixes count as if they rolled. If only some are fixed, there is a doubt.
+    """
+    guess, wheels = _drive_of(gear), [wheel for wheel in gear.wheels if not wheel.caster]
+    fixed = [wheel.link for wheel in wheels if wheel.fixed]
+    if guess is None or guess.doubt or len(fixed) in (0, len(wheels)):
+        return guess
+    doubt = f"{_named(fixed)} cannot roll in this file, but counts as if it did; check drive"
+    return replace(guess, doubt=doubt)
+
+
+def _drive_of(gear: RunningGear) -> DriveGuess | None:
     wheels = [wheel for wheel in gear.wheels if not wheel.caster]
     rolling = [wheel for wheel in wheels if not wheel.steering]
     steered = [wheel for wheel in wheels if wheel.steering]
@@ -213,19 +228,25 @@ def _unsteered(wheels: Sequence[Wheel], gear: RunningGear) -> DriveGuess:
         "out, set drive to car, and min_turning_radius"
     )
     why = f"its {len(wheels)} wheels do not steer and have parallel axles (skid steering)"
-    return DriveGuess("differential", why, ahead, doubt=doubt)
+    return DriveGuess("differential", why, ahead, doubt=doubt, skids=True)
 
 
 def _named(names: Sequence[str]) -> str:
     return " and ".join(([", ".join(names[:-1])] if len(names) > 1 else []) + [names[-1]])
 
 
-FLOOR_TOLERANCE = 0.03
-"""Maximum height of the base's lowest point above or below z = 0 of the base link [m]."""
+FLOOR_TOLERANCE = 0.005
+"""Maximum distance of the floor from z = 0 of the base link [m]; hulls of round wheels reach 1 mm
+too low."""
+MAX_GROUND_CLEARANCE = 0.03
+"""Maximum height of the base's lowest point above z = 0 of the base link, if no wheel has a shape
+that shows the floor [m]."""
 MAX_WHEEL_HEIGHT = 0.15
 """Maximum height of the geometry above a base_footprint link, if the wheels have none [m]."""
 MAX_MOUNT_SIZE = 0.35
-"""Size below which a base without wheels is only the mounting plate of an arm [m]."""
+"""Size below which a base without wheels may be only the foot of an arm [m]."""
+MAX_PLATE_HEIGHT = 0.05
+"""Height up to which a small body on the floor is only a mounting plate [m]."""
 UPRIGHT_COSINE = 0.999
 """Least cosine between the z axis of a base link and the vertical [-]."""
 AHEAD_COSINE = 0.95
@@ -255,12 +276,54 @@ def refuse_without_base(
     if driving or gear.wheels or _named_wheels(model):
         return
     points = points_of(model, model.urdf.root, base_links(model, firsts))
-    if not len(points) or float(np.ptp(points[:, :2], axis=0).max()) < MAX_MOUNT_SIZE:
+    small = not len(points) or float(np.ptp(points[:, :2], axis=0).max()) < MAX_MOUNT_SIZE
+    if small and not _stands_on_the_floor(model, firsts):
         raise RobotError(
             f"{model.urdf.path}: the arm has no base: there are no wheels and no geometry on the "
             "floor; put it on a driving box with --on-box LENGTHxWIDTHxHEIGHT of momapos robot "
             "check, or on another base with [mount] in a robot file (docs/robots.md)"
         )
+
+
+def _stands_on_the_floor(model: Articulated, firsts: Sequence[str]) -> bool:
+    """Return whether a box, or a link below the one that carries an arm, stands on the floor.
+
+    The lowest body of an arm alone is its own foot, of any shape, or a plate.
+    """
+    feet = {model.joint(name).parent for name in firsts}
+    bodies = [
+        (link, shape.kind, float(z.min()), float(z.max()))
+        for link in base_links(model, firsts)
+        for shape, hull in zip(model.urdf.links[link].collisions, model.hulls[link], strict=True)
+        for z in [apply(model.rest_poses[link], hull.vertices)[:, 2]]
+    ]
+    standing = [
+        kind == "box" or link not in feet
+        for link, kind, low, high in bodies
+        if abs(low) < FLOOR_TOLERANCE and high > MAX_PLATE_HEIGHT
+    ]
+    return any(standing)
+
+
+def floor_range(model: Articulated, base_link: str, links: Sequence[str]) -> tuple[float, float]:
+    """Return between which heights of the lowest point z = 0 of a base link is on the floor [m].
+
+    A wheel with a shape shows where the floor is.
+
+    Args:
+        model: The robot.
+        base_link: The link.
+        links: The links that no arm moves.
+    """
+    if base_link == "base_footprint":
+        return -FLOOR_TOLERANCE, MAX_WHEEL_HEIGHT
+    rolling = {joint.child for joint in model.joints.values() if joint.kind == "continuous"}
+    wheels = points_of(
+        model, base_link, [name for name in links if name in rolling or WHEEL.search(name)]
+    )
+    low = float(points_of(model, base_link, links)[:, 2].min())
+    shown = len(wheels) > 0 and float(wheels[:, 2].min()) < low + FLOOR_TOLERANCE
+    return -FLOOR_TOLERANCE, FLOOR_TOLERANCE if shown else MAX_GROUND_CLEARANCE
 
 
 def _named_wheels(model: Articulated) -> bool:
@@ -339,14 +402,11 @@ def find_base_link(
         if axle is not None and off_axle(model, name, anchor, axle) > AXLE_TOLERANCE:
             turned[name] = "it is not at the middle of the fixed axle"
             continue
-        low = float(points[:, 2].min())
-        if abs(low) <= FLOOR_TOLERANCE:
-            notes.append(f"base_link: {name}; {forward}")
-            return name, None
-        if name == "base_footprint" and 0 < low < MAX_WHEEL_HEIGHT:
-            notes.append(
-                f"base_link: {name}, by its name; the geometry starts {low:.2f} m above it"
-            )
+        low, (least, most) = float(points[:, 2].min()), floor_range(model, name, body)
+        if least <= low <= most:
+            above = f", by its name; the geometry starts {low:.2f} m above it"
+            named = name == "base_footprint" and low > MAX_GROUND_CLEARANCE
+            notes.append(f"base_link: {name}{above if named else f'; {forward}'}")
             return name, None
     name = (preferred or [anchor])[-1]
     R = np.stack([ahead, np.cross(up, ahead), up], -1)
@@ -446,20 +506,21 @@ def find_drive(
     anchor: str,
     boxed: bool,
     guess: DriveGuess | None,
-    plugin: str,
+    plugin: DrivePlugin | None,
     notes: list[str],
 ) -> str:
-    """Return the drive that the wheels tell, or guess it from names and simulation.
+    """Return the drive that wheels and simulation tell, or guess it from names.
 
     Args:
         model: The robot.
         anchor: Root of what drives.
         boxed: Whether an arm stands on a driving box.
         guess: What the wheels tell.
-        plugin: Plugin that drives the base in any direction in its maker's simulation; "" if none.
+        plugin: Plugin that drives the base in its maker's simulation; None without one.
         notes: Receives the reason.
     """
     if guess is not None and not boxed:
+        guess = _weighed(guess, plugin)
         notes.append(f"drive: {guess.drive}: {guess.why}; speeds are guesses")
         if guess.doubt:
             notes.append(f"IMPORTANT: drive: {guess.doubt}")
@@ -468,12 +529,13 @@ def find_drive(
     if any(OMNI.search(name) for name in names):
         notes.append("drive: omni, by the names of its wheels")
         return "omni"
-    if plugin and not boxed:
+    if plugin is not None and not boxed:
+        drive = "omni" if plugin.sideways else "differential"
         notes.append(
-            f"drive: omni: {plugin} drives it in any direction in its simulation, and no wheels "
-            "tell; set differential if the real base cannot"
+            f"drive: {drive}: {plugin.words} in its simulation, and no wheels tell; set "
+            f"{'differential' if plugin.sideways else 'omni'} if the real base differs"
         )
-        return "omni"
+        return drive
     if not (_named_wheels(model) or boxed or anchor != model.urdf.root or model.urdf.rigid):
         notes.append(
             "IMPORTANT: there are no wheels; a mobile robot needs a base: --on-box of momapos "
@@ -487,8 +549,29 @@ def find_drive(
     also = (
         f"; {', '.join(sideways)} slide: use omni if the base drives sideways" if sideways else ""
     )
-    notes.append(f"drive: differential, with guessed speeds; no wheels tell{also}")
+    important = "" if boxed else "IMPORTANT: "
+    notes.append(
+        f"{important}drive: differential is a guess, as are its speeds; no wheels tell{also}"
+    )
     return "differential"
+
+
+def _weighed(guess: DriveGuess, plugin: DrivePlugin | None) -> DriveGuess:
+    """Return what the wheels tell, together with the maker's simulation.
+
+    Mecanum wheels look as wheels that skid, so there the simulation decides. Elsewhere the wheels
+    do, and a contradiction is a doubt.
+    """
+    if plugin is None:
+        return guess
+    if plugin.sideways == (guess.drive == "omni"):
+        why = f"{guess.why}, and {plugin.words}"
+        return replace(guess, why=why, doubt="") if guess.skids else guess
+    if guess.skids:
+        why = f"its wheels have parallel axles, and {plugin.words}: mecanum wheels"
+        return replace(guess, drive="omni", why=why, doubt="", skids=False)
+    doubt = f"{plugin.words} in its simulation; set drive if the wheels of the file are wrong"
+    return replace(guess, doubt="; ".join(filter(None, (guess.doubt, doubt))))
 
 
 def outside(points: Float[np.ndarray, "n 3"], footprint: Float[np.ndarray, "k 2"]) -> float:

@@ -35,7 +35,7 @@ from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_a
 from .robot import Robot, load_arms
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
-from .running_gear import RunningGear, drawn_meshes, find_running_gear, sideways_plugin
+from .running_gear import RunningGear, drawn_meshes, drive_plugin, find_running_gear
 from .srdf import Srdf, find_srdf, srdf_next_to, srdf_text
 from .xacro import Expanded, expand_xacro, is_xacro
 
@@ -137,7 +137,7 @@ def derive_robot(
     model = _same_shapes(record, model, {**model.held, **_resting_fingers(model, arms)})
     footprint = find_footprint(model, base_link, firsts, notes)
     boxed = source.mount is not None and source.mount.box is not None
-    plugin = sideways_plugin(source.content, urdf)
+    plugin = drive_plugin(source.content, urdf)
     drive = find_drive(model, anchor, boxed, guess, plugin, notes)
     waiting = [ArmToRest(name, arm.chain, arm.text) for name, arm in arms.items()]
     homes = find_homes(

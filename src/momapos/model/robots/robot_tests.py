@@ -12,11 +12,10 @@ from momapos.model.records import MIN_STABILITY
 
 from .base_guess import (
     AXLE_TOLERANCE,
-    FLOOR_TOLERANCE,
-    MAX_WHEEL_HEIGHT,
     DriveGuess,
     base_links,
     drive_of,
+    floor_range,
     off_axle,
     outside,
 )
@@ -141,14 +140,15 @@ def _gap_at_rest(robot: Robot, fingers: set[str]) -> float:
 def _upright(robot: Robot) -> RobotTest:
     """Check that the base reaches the floor and not below it, and that the robot stands at home."""
     file = robot.path.name
-    points = points_of(robot.model, robot.base_link, base_links(robot.model, robot.arm_joints[:1]))
+    body = base_links(robot.model, robot.arm_joints[:1])
+    points = points_of(robot.model, robot.base_link, body)
     if not len(points):
         words = "the base has no collision geometry"
         return RobotTest("upright", robot.arm, None, words)
     low, high = float(points[:, 2].min()), float(points[:, 2].max())
-    above = MAX_WHEEL_HEIGHT if robot.base_link == "base_footprint" else FLOOR_TOLERANCE
-    if not -FLOOR_TOLERANCE <= low <= above:
-        words = f"the base spans z = {low:.2f} to {high:.2f} m of {robot.base_link}"
+    least, most = floor_range(robot.model, robot.base_link, body)
+    if not least <= low <= most:
+        words = f"the base spans z = {low:.3f} to {high:.2f} m of {robot.base_link}"
         remedy = f"base_link in {file} must lie on the floor, with z up"
         return RobotTest("upright", robot.arm, False, words, remedy)
     stability = float(robot_loads(robot).at(robot.home[None]).stability[0])
@@ -191,8 +191,8 @@ def examine(robot: Robot, *, seed: int = 0) -> list[str]:
     if not len(points):
         return [*doubts, "the base has no collision geometry: its collisions are not checked"]
     low = float(points[:, 2].min())
-    above = MAX_WHEEL_HEIGHT if robot.base_link == "base_footprint" else FLOOR_TOLERANCE
-    if not -FLOOR_TOLERANCE <= low <= above:
+    least, most = floor_range(robot.model, robot.base_link, body)
+    if not least <= low <= most:
         doubts.append(f"the base's lowest point is {low:.3f} m above z = 0 of {robot.base_link}")
     others = [joint for joint in robot.other_arms if joint not in robot.arm_joints]
     body = base_links(robot.model, [robot.arm_joints[0], *others])

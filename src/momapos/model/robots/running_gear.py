@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core import RobotError, UrdfError, read_text_bounded
 from momapos.core.geometry import apply, convex_hull, edge_normals, invert
-from momapos.model.urdf import MAX_URDF_BYTES, Articulated, Joint, read_tree
+from momapos.model.urdf import MAX_URDF_BYTES, Articulated, Joint, fit_box, read_tree
 
 from .gripper_guess import fixed_to, joints_below
 
@@ -27,6 +27,8 @@ _CASTER = re.compile(r"caster|castor", re.I)
 OMNI = re.compile(r"mecanum|omni|swerve", re.I)
 SIDEWAYS = re.compile(r"planar_move|force_based_move|mecanum|omni_?drive", re.I)
 """Plugins of Gazebo Classic and Gazebo Sim that drive a base in any direction."""
+ON_THE_SPOT = re.compile(r"diff_?-?drive|differential|skid_?steer", re.I)
+"""Plugins that drive a base ahead and turn it on the spot."""
 STEER = re.compile(r"steer|knuckle|ackerman", re.I)
 ENDLESS = 6.0
 """Range from which a joint turns a wheel [rad]."""
@@ -71,6 +73,8 @@ class Wheel:
     """Whether a name says that it is a caster's."""
     rollers: bool = False
     """Whether it has rollers, or a name says that it is omnidirectional."""
+    fixed: bool = False
+    """Whether the file fixes it, so that its shape tells the axle."""
 
     @property
     def ahead(self) -> Float[np.ndarray, "2"]:
@@ -102,7 +106,7 @@ def find_running_gear(
     """Find the wheels of a base.
 
     A wheel turns endlessly about a level axle. A name says so, or its shape: its radius is the
-    height of its axle above the lowest point of the base.
+    height of its axle above the lowest point of the base. Files may fix wheels; these need both.
 
     Args:
         model: The robot.
@@ -130,6 +134,9 @@ def find_running_gear(
         found += [finder.rigid_wheel(joint, found[0].axle) for joint in rigid]
         gear |= {joint.name for joint in rigid}
     if len(found) < 2 and not any(named):  # one round body on the floor is no base
+        found, gear = [], set()
+    found += [wheel for _, one in joints if (wheel := finder.fixed_wheel(one)) is not None]
+    if not found:
         return RunningGear()
     body = {*fixed_to(model, anchor), *(w.link for w in found)}
     names = [*body, *(j.name for j in model.urdf.joints if j.parent in body)]
@@ -156,15 +163,32 @@ def drawn_meshes(content: str | None, urdf: Path) -> dict[str, list[str]]:
     }
 
 
-def sideways_plugin(content: str | None, urdf: Path) -> str:
-    """Return the plugin that drives the base in any direction in Gazebo; "" for none.
+@dataclass(frozen=True)
+class DrivePlugin:
+    """A plugin of Gazebo that drives the base in its maker's simulation."""
+
+    name: str
+    sideways: bool
+    """Whether it drives the base in any direction, rather than ahead."""
+
+    @property
+    def words(self) -> str:
+        """Return what it does."""
+        how = "in any direction" if self.sideways else "ahead and turns it on the spot"
+        return f"{self.name} drives it {how}"
+
+
+def drive_plugin(content: str | None, urdf: Path) -> DrivePlugin | None:
+    """Return the plugin that drives the base in Gazebo; None for none.
 
     Args:
         content: The URDF's content; None to read it.
         urdf: The file.
     """
-    names = (plugin.get("filename", "") for plugin in _tree(content, urdf).iter("plugin"))
-    return next((name for name in names if SIDEWAYS.search(name)), "")
+    names = [plugin.get("filename", "") for plugin in _tree(content, urdf).iter("plugin")]
+    found = [DrivePlugin(name, sideways=True) for name in names if SIDEWAYS.search(name)]
+    found += [DrivePlugin(name, sideways=False) for name in names if ON_THE_SPOT.search(name)]
+    return found[0] if found else None
 
 
 def _tree(content: str | None, urdf: Path) -> Element:
@@ -227,20 +251,27 @@ class _Finder:
 
     def _rolls(self, joint: Joint) -> bool:
         """Return whether a body is round about its axle, with a radius of the axle's height."""
-        links = self.model.links_below(joint.child)
+        center, axis = self.poses[joint.child][:3, 3], self._axis(joint)
+        return self._roundness(joint.child, center, axis) > MIN_ROUNDNESS
+
+    def _roundness(
+        self, link: str, center: Float[np.ndarray, "3"], axis: Float[np.ndarray, "3"]
+    ) -> float:
+        """Return the least share of its radius that a body reaches in each eighth of a turn [-].
+
+        Zero if its radius is not the height of the axle.
+        """
+        links = self.model.links_below(link)
         points = [apply(self.poses[n], h.vertices) for n in links for h in self.model.hulls[n]]
         if not points:
-            return False
-        center, axis = self.poses[joint.child][:3, 3], self._axis(joint)
+            return 0.0
         away = np.concatenate(points) - center
         across = np.stack([away[:, 2], away @ np.cross(axis, [0.0, 0.0, 1.0])])
         radii, sector = np.hypot(*across), np.arctan2(*across) // (np.pi / 4)
         radius = radii.max()
-        round_ = all(
-            radii[sector == k].max(initial=0.0) > MIN_ROUNDNESS * radius for k in range(-4, 4)
-        )
-        height = float(center[2]) - self.ground
-        return bool(round_ and abs(height - radius) < WHEEL_TOLERANCE + 0.1 * radius)
+        if abs(float(center[2]) - self.ground - radius) >= WHEEL_TOLERANCE + 0.1 * radius:
+            return 0.0
+        return min(float(radii[sector == k].max(initial=0.0) / radius) for k in range(-4, 4))
 
     def _wheel(self, joint: Joint, above: tuple[Joint, ...]) -> Wheel:
         links = self.model.links_below(joint.child)
@@ -256,6 +287,29 @@ class _Finder:
             rollers=rollers >= MIN_ROLLERS or any(map(OMNI.search, own)),
         )  # fmt: skip
         return self._steered(wheel, steering[0]) if steering else wheel
+
+    def fixed_wheel(self, joint: Joint) -> Wheel | None:
+        """Return the wheel that a joint fixes, by its name and its shape; None if it is none."""
+        name, shapes = joint.child, self.model.urdf.links[joint.child].collisions
+        if joint.movable or not shapes or not WHEEL.search(f"{joint.name} {name}"):
+            return None
+        if shapes[0].kind == "cylinder":
+            T = self.poses[name] @ shapes[0].T_link_geometry
+            center, axes = T[:3, 3], T[:3, 2:3]
+        else:
+            hull = self.model.hulls[name][0]
+            center, axes, _ = fit_box(apply(self.poses[name], hull.vertices))
+        level = [axis for axis in axes.T if abs(axis[2]) < LEVEL_COSINE]
+        round_ = [self._roundness(name, center, axis) for axis in level]
+        if max(round_, default=0.0) <= MIN_ROUNDNESS:
+            return None
+        axle = level[int(np.argmax(round_))]
+        own = [joint.name, name, *self.meshes.get(name, ())]
+        return Wheel(
+            joint.name, name, center, axle / np.linalg.norm(axle),
+            caster=bool(_CASTER.search(f"{joint.name} {name}")),
+            rollers=any(map(OMNI.search, own)), fixed=True,
+        )  # fmt: skip
 
     def steers_a_rigid_wheel(self, joint: Joint) -> bool:
         """Return whether a joint named steering turns a body on the floor that does not roll."""
