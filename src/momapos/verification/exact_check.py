@@ -403,7 +403,9 @@ class PlanVerifier:
         yield self._part_above_floor(Ts_way, where)
         yield self._base_check(placed, Ts_way, where)
         yield self._arm_check(placed.Ts_arm, placed.Ts_part, path)
-        yield self._self_check(placed.Ts_base, placed.Ts_arm, path)
+        yield self.robot_model.self_check(
+            placed.Ts_base, placed.Ts_arm, path.where, limits.penetration
+        )
         yield _above_floor(self._arm, placed.Ts_arm, path, limits)
         yield from self._on_floor(placed)
 
@@ -493,18 +495,6 @@ class PlanVerifier:
         found.add(self._arm, Ts_arm, fixed, fixed.Ts_body_shape[None], self._arm_fixed, path.where)
         found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, path.where)
         return found.check("arm collision with the scene")
-
-    def _self_check(
-        self,
-        Ts_base: Float[np.ndarray, "#s b 4 4"],
-        Ts_arm: Float[np.ndarray, "s a 4 4"],
-        path: paths.DensePath,
-    ) -> Check:
-        found = Overlaps(self.limits.penetration)
-        arm, base, robot = self._arm, self._base, self.robot_model
-        found.add(arm, Ts_arm, base, Ts_base, robot.arm_base_pairs, path.where)
-        found.add(arm, Ts_arm, arm, Ts_arm, robot.arm_arm_pairs, path.where)
-        return found.check("robot self-collision")
 
     def _on_floor(self, placed: _Placed) -> Iterator[Check]:
         polygon = self.scene.floor_polygon

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect, resolved
 from momapos.model.plan_files import TourFile, changed_files, read_plan, read_tour
 from momapos.model.records import Motion, PlacementPlan
-from momapos.model.robots import Robot, read_srdf
+from momapos.model.robots import Robot, claimed_apart, read_srdf
 from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions, with_overrides
 from momapos.model.urdf import Articulated, in_convex_pieces, read_urdf
 
@@ -98,6 +98,8 @@ class UrdfArm:
     """Least turning radius of a car-like base [m]."""
     grip_force: float | None = None
     """Closing force of each finger, or pull of a suction cup [N]; None without a robot file."""
+    claimed: frozenset[frozenset[str]] = frozenset()
+    """Disabled pairs that are said never to touch, which their surfaces decide."""
 
 
 def verify_files(
@@ -248,14 +250,15 @@ def _arm(
     plan: PlacementPlan, urdf: Path, srdf: Path | None, own: Robot | None, cache: Cache | None
 ) -> UrdfArm:
     """Read the robot that a plan names; what its robot file states has priority over the plan."""
-    disabled = frozenset() if srdf is None else read_srdf(srdf)
+    none = frozenset[frozenset[str]]()
+    disabled, claimed = (none, none) if srdf is None else (read_srdf(srdf), claimed_apart(srdf))
     record = in_convex_pieces(read_urdf(urdf, cache=cache, visuals=False, actuated=True), cache)
     rest = dict(plan.robot_rest) if own is None else {**own.model.held, **plan.robot_rest}
     return UrdfArm(
         Articulated(record, rest, cache), plan.base_link, plan.tool_link, plan.joints, disabled,
         plan.robot_drive if own is None else own.drive,
         plan.robot_min_turning_radius if own is None else own.min_turning_radius,
-        None if own is None else own.grip_force,
+        None if own is None else own.grip_force, claimed,
     )  # fmt: skip
 
 

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from momapos.core import RobotError, owner_cache, unknown_name
-from momapos.core.geometry import invert, pose_planar
+from momapos.core.geometry import apply, invert, pose_planar
 from momapos.model.urdf import Articulated
 
-from .exact_shapes import Shapes, of_bodies, piece_names, prepared
+from .exact_shapes import Shapes, of_bodies, piece_names, prepared, without_piece
 from .link_bodies import LinkBodies, body_poses
-from .sweep import all_pairs
+from .report import DEFAULT, Check
+from .sweep import Overlaps, all_pairs, deepest, surfaces_cross
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -33,6 +34,8 @@ class RobotDescription(Protocol):
     def moved_joints(self) -> tuple[str, ...]: ...
     @property
     def disabled(self) -> frozenset[frozenset[str]]: ...
+    @property
+    def claimed(self) -> frozenset[frozenset[str]]: ...
     @property
     def drive(self) -> str | None: ...
     @property
@@ -65,6 +68,11 @@ class RobotCollisionModel:
     arm_base_pairs: Int[np.ndarray, "p 2"]
     """Indices into `arm` and `base` of the pairs to check."""
     arm_arm_pairs: Int[np.ndarray, "r 2"]
+    surfaces: Callable[[str], Float[np.ndarray, "t 3 3"]]
+    """Returns the triangles of a link in its frame, before cutting."""
+    claimed_base_pairs: Int[np.ndarray, "c 2"]
+    """Pairs like `arm_base_pairs` that are said never to touch; their surfaces decide."""
+    claimed_arm_pairs: Int[np.ndarray, "d 2"]
 
     def body_poses(
         self, base_pose: Sequence[float] | Float[np.ndarray, "s 3"], q: Float[np.ndarray, "s n"]
@@ -86,6 +94,57 @@ class RobotCollisionModel:
         T_tool = Ts[:, self.tool_body] @ self.T_body_tool
         return T_tool, self.base.placed(Ts if base_moves else Ts[:1]), self.arm.placed(Ts)
 
+    def self_check(
+        self,
+        Ts_base: Float[np.ndarray, "#s b 4 4"],
+        Ts_arm: Float[np.ndarray, "s a 4 4"],
+        where: Callable[[int], str],
+        limit: float,
+    ) -> Check:
+        """Check how deep the robot overlaps itself.
+
+        Args:
+            Ts_base, Ts_arm: World poses of its shapes.
+            where: Returns the name of a state.
+            limit: Allowed depth [m].
+        """
+        found = Overlaps(limit)
+        found.add(self.arm, Ts_arm, self.base, Ts_base, self.arm_base_pairs, where)
+        found.add(self.arm, Ts_arm, self.arm, Ts_arm, self.arm_arm_pairs, where)
+        self._add_claimed(found, self.base, Ts_base, Ts_arm, self.claimed_base_pairs, where)
+        self._add_claimed(found, self.arm, Ts_arm, Ts_arm, self.claimed_arm_pairs, where)
+        return found.check("robot self-collision")
+
+    def _add_claimed(
+        self,
+        found: Overlaps,
+        others: Shapes,
+        Ts_others: Float[np.ndarray, "#s b 4 4"],
+        Ts_arm: Float[np.ndarray, "s a 4 4"],
+        pairs: Int[np.ndarray, "c 2"],
+        where: Callable[[int], str],
+    ) -> None:
+        """Add pairs that are said never to touch, if their surfaces cross where they are deepest.
+
+        Hulls and pieces may overlap where surfaces do not, such as those of a wrist in a fork.
+        """
+        depth, state = deepest(self.arm, Ts_arm, others, Ts_others, pairs, max(0.0, found.limit))
+        for p in np.flatnonzero(state >= 0).tolist():
+            i, j = pairs[p].tolist()
+            at = min(int(state[p]), len(Ts_others) - 1)
+            one = self._surface(self.arm, i, Ts_arm[state[p], i])
+            if not surfaces_cross(one, self._surface(others, j, Ts_others[at, j])):
+                state[p] = -1
+        found.collect(self.arm, others, pairs, depth, state, where)
+
+    def _surface(
+        self, shapes: Shapes, index: int, T_world_shape: Float[np.ndarray, "4 4"]
+    ) -> Float[np.ndarray, "t 3 3"]:
+        """Return the triangles of the link of a shape in the world."""
+        link = without_piece(shapes.names[index])
+        T = T_world_shape @ invert(shapes.Ts_body_shape[index]) @ self.bodies.T_body_link[link]
+        return np.asarray(apply(T, self.surfaces(link).reshape(-1, 3)).reshape(-1, 3, 3))
+
 
 def robot_collision_model(robot: RobotDescription) -> RobotCollisionModel:
     """Build the collision model of a robot, cached.
@@ -94,8 +153,9 @@ def robot_collision_model(robot: RobotDescription) -> RobotCollisionModel:
         UnknownNameError, RobotError: A link or joint does not exist, or a joint appears twice.
     """
     return _robot_collision_model(
-        robot.model, robot.base_link, robot.tool_link, tuple(robot.moved_joints), robot.disabled
-    )
+        robot.model, robot.base_link, robot.tool_link, tuple(robot.moved_joints), robot.disabled,
+        robot.claimed,
+    )  # fmt: skip
 
 
 @owner_cache(8)
@@ -105,6 +165,7 @@ def _robot_collision_model(
     tool_link: str,
     arm_joints: tuple[str, ...],
     disabled: frozenset[frozenset[str]],
+    claimed: frozenset[frozenset[str]],
 ) -> RobotCollisionModel:
     bodies, shapes = prepared(model)
     name = model.urdf.name
@@ -120,8 +181,9 @@ def _robot_collision_model(
     moved = of_bodies(shapes, moving)
     base = np.setdiff1d(np.arange(len(shapes)), moved)
     pairs = self_pairs(bodies, shapes, moved)
-    named = [frozenset((shapes.names[i], shapes.names[j])) in disabled for i, j in pairs]
-    pairs = pairs[~np.array(named, bool)]
+    names = [frozenset((shapes.names[i], shapes.names[j])) for i, j in pairs]
+    said = pairs[np.array([pair in claimed and pair in disabled for pair in names], bool)]
+    pairs = pairs[~np.array([pair in disabled for pair in names], bool)]
     shapes = replace(shapes, names=piece_names(model))
     return RobotCollisionModel(
         bodies=bodies,
@@ -138,7 +200,25 @@ def _robot_collision_model(
         gripper=np.isin(shapes.body[moved], list(last)),
         arm_base_pairs=_among(pairs, moved, base),
         arm_arm_pairs=_among(pairs, moved, moved),
+        surfaces=model.surface,
+        claimed_base_pairs=_among(said, moved, base),
+        claimed_arm_pairs=_among(said, moved, moved),
     )
+
+
+def self_contacts(
+    robot: RobotDescription, q: Float[np.ndarray, "s n"], where: Callable[[int], str]
+) -> Check:
+    """Check how deep a robot overlaps itself in some states.
+
+    Args:
+        robot: The robot.
+        q: Values of its moved joints [rad] or [m].
+        where: Returns the name of a state.
+    """
+    built = robot_collision_model(robot)
+    _, Ts_base, Ts_arm = built.poses(built.body_poses((0.0, 0.0, 0.0), q))
+    return built.self_check(Ts_base, Ts_arm, where, DEFAULT.penetration)
 
 
 def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:

@@ -15,7 +15,7 @@ import numpy as np
 from momapos.core.compiled import F1, F3, F4, I2, entry, kernel
 
 from .convex import TOLERANCE, Body, overlap
-from .exact_shapes import ShapeArrays, Shapes, without_piece
+from .exact_shapes import ShapeArrays, Shapes, triangle_shapes, without_piece
 from .report import Check, at_most
 
 if TYPE_CHECKING:
@@ -241,6 +241,28 @@ def _farthest_move(T, U, radius):
         for c in range(3):
             turn += (U[r, c] - T[r, c]) ** 2
     return np.sqrt(shift) + radius * np.sqrt(0.5 * turn)  # |U - T| = sqrt(8) sin(angle / 2)
+
+
+MAX_TRIANGLE_PAIRS = 1_000_000
+"""Pairs of triangles that are compared together; they need about 0.1 kB each [-]."""
+
+
+def surfaces_cross(one: Float[np.ndarray, "t 3 3"], other: Float[np.ndarray, "u 3 3"]) -> bool:
+    """Return whether triangles of two surfaces meet."""
+    for _ in range(2):  # leave out what is outside the box around the other
+        low, high = (f(f(other, 0), 0) for f in (np.min, np.max))
+        near = one[((one.min(1) <= high) & (one.max(1) >= low)).all(1)]
+        one, other = other, near
+        if not len(near):
+            return False
+    rows = max(1, MAX_TRIANGLE_PAIRS // len(other))
+    b = triangle_shapes(other, 0, "")
+    for first in range(0, len(one), rows):
+        a = triangle_shapes(one[first : first + rows], 0, "")
+        Ts_a, Ts_b = a.Ts_body_shape[None], b.Ts_body_shape[None]
+        if (deepest(a, Ts_a, b, Ts_b, all_pairs(len(a), len(b)), 0.0)[1] >= 0).any():
+            return True
+    return False
 
 
 MAX_NAMED_PAIRS = 6

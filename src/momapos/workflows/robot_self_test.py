@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from momapos.core import USER_CACHE, Cache, MomaposError
 from momapos.model.records import PlacementPlan
-from momapos.model.robots import Robot, RobotTest, examine_at_rest
+from momapos.model.robots import (
+    Robot,
+    RobotTest,
+    examine_at_rest,
+)
 from momapos.model.scene import Scene, load_scene
 from momapos.planning import PipelineConfig, PlacementQuery, plan_base_placement
 from momapos.planning.grasps import make_task
 from momapos.planning.reachability import by_arm_length
+from momapos.verification import self_contacts
 
 SCENE = "kitchen_small"
 DRAWERS = (
@@ -27,13 +32,20 @@ NAME = "drawer"
 
 
 def self_test(arms: Sequence[Robot], *, cache: Cache | None = USER_CACHE) -> tuple[RobotTest, ...]:
-    """Test every arm of a robot: at rest, and on a drawer. Takes a few seconds.
+    """Test every arm of a robot: in contact with itself, at rest, and on a drawer.
+
+    Contacts at home are those of the exact check, whose shapes the robot file is not derived from.
+    Takes a few seconds.
 
     Args:
         arms: The robot, once for each arm.
         cache: Stores expensive geometry; None to always compute it.
     """
-    results = [test for robot in arms for test in examine_at_rest(robot)]
+    tests: dict[tuple[str, str], RobotTest] = {}
+    for robot in arms:
+        for test in (*_at_home(robot), *examine_at_rest(robot)):
+            tests.setdefault((test.arm, test.name), test)
+    results = list(tests.values())
     failed = {test.arm for test in results if test.passed is False}
     scene = load_scene(SCENE, cache=cache)
     for robot in arms:
@@ -43,6 +55,18 @@ def self_test(arms: Sequence[Robot], *, cache: Cache | None = USER_CACHE) -> tup
         else:
             results.append(_drawer(robot, scene))
     return tuple(results)
+
+
+def _at_home(robot: Robot) -> Iterator[RobotTest]:
+    """Test home with the shapes of the exact check; nothing if it is free."""
+    home = robot.chain.joint_values(robot.home[None])
+    check = self_contacts(robot, home, lambda _: "home")
+    if not check.ok:
+        remedy = (
+            f"change home in {robot.path.name}, or disable the pair in its SRDF if it touches by "
+            "design"
+        )
+        yield RobotTest("home", robot.arm, False, check.detail, remedy)
 
 
 def _drawer(robot: Robot, scene: Scene) -> RobotTest:

@@ -51,6 +51,7 @@ ANSWER = (
 )
 """Kernels for planning."""
 CHECK = (
+    "momapos.model.collision.self_collision._crossings",
     "momapos.model.robots.load_limits._touches",
     "momapos.model.robots.homes._extents",
 )

@@ -30,6 +30,7 @@ from .self_collision import arm_spheres as arm_spheres
 from .self_collision import choose_exact_pairs as choose_exact_pairs
 from .self_collision import contacts as contacts
 from .self_collision import decided_by_hulls as decided_by_hulls
+from .self_collision import surfaces_cross as surfaces_cross
 from .sphere_cover import box_spheres as box_spheres
 from .spheres import Spheres as Spheres
 from .spheres import build_spheres as build_spheres

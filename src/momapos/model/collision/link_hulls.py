@@ -344,6 +344,31 @@ def link_hulls(
     )
 
 
+def surface_hulls(
+    surfaces: Sequence[Float[np.ndarray, "_ 3 3"]], segment: Sequence[int]
+) -> LinkHulls:
+    """Return triangles as hulls: one group for the first surface, the others follow.
+
+    Args:
+        surfaces: Triangles relative to the joint origins of their segments [m].
+        segment: The segment of each surface.
+    """
+    points = np.concatenate(surfaces)
+    counts, center = [len(surface) for surface in surfaces], points.mean(1)
+    return LinkHulls(
+        vertices=points.reshape(-1, 3),
+        first=3 * np.arange(len(points) + 1),
+        center=center,
+        radius=np.linalg.norm(points - center[:, None], axis=2).max(1),
+        segment=np.repeat(np.array(segment, np.int64), counts),
+        of_group=np.array([0, counts[0]]),
+        of_base=np.zeros(0, np.int64),
+        neighbors=np.zeros(0, np.int64),
+        neighbors_from=np.zeros(len(points) * 3 + 1, np.int64),
+        begin=np.zeros((1, 1), np.int64),
+    )
+
+
 def _neighbors(
     faces: Sequence[Int[np.ndarray, "_ 3"]], count: int
 ) -> tuple[Int[np.ndarray, " e"], Int[np.ndarray, " v_plus_1"]]:

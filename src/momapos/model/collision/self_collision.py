@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core.compiled import B2, F2, I2, entry
+from momapos.core.geometry import apply
 from momapos.model.kinematics import (
     Chain,
     ChainArrays,
+    HullArrays,
     Segments,
     SphereArrays,
     chain_arrays,
@@ -24,7 +26,7 @@ from momapos.model.kinematics import (
 from momapos.model.urdf import Articulated
 
 from .arm_collision import APART, MEET, meeting, meeting_base, place_arm, scratch_of
-from .link_hulls import hulls_overlap
+from .link_hulls import hulls_overlap, surface_hulls
 from .spheres import Spheres, build_spheres
 
 if TYPE_CHECKING:
@@ -73,6 +75,39 @@ def _contacts(
                 hit = found != APART and hulls_overlap(R, p, hulls, g, h, h + 1)
                 by_hulls[m, k] |= hit
                 by_spheres[m, k] |= found == MEET or hit
+
+
+@entry
+def _crossings(q: F2, chain: ChainArrays, spheres: SphereArrays, hulls: HullArrays) -> np.ndarray:
+    """Mark the states in which hulls of group 0 overlap those after it."""
+    scratch, out = scratch_of(len(chain.slides), spheres), np.zeros(len(q), np.bool_)
+    R, p, _ = scratch
+    base = np.zeros(3)
+    for m in range(len(q)):
+        place_arm(q[m], base, chain, spheres, scratch)
+        out[m] = hulls_overlap(R, p, hulls, 0, hulls.of_group[1], len(hulls.segment))
+    return out
+
+
+def surfaces_cross(
+    model: Articulated,
+    chain: Chain,
+    segments: Segments,
+    spheres: Spheres,
+    pair: tuple[str, str],
+    q: Float[np.ndarray, "m n"],
+) -> Bool[np.ndarray, " m"]:
+    """Mark the states in which the surfaces of two links cross, as their meshes are in the files.
+
+    Hulls and pieces may overlap where surfaces do not, such as those of a wrist in a fork.
+    """
+    surfaces = [
+        apply(segments.T_segment_link[name], model.surface(name).reshape(-1, 3)).reshape(-1, 3, 3)
+        for name in pair
+    ]
+    hulls = surface_hulls(surfaces, [segments.of_link[name] for name in pair])
+    states = np.ascontiguousarray(q)
+    return np.asarray(_crossings(states, chain_arrays(chain), spheres.arrays, hulls.arrays))
 
 
 def contacts(chain: Chain, spheres: Spheres, q: Float[np.ndarray, "m n"]) -> Contacts:

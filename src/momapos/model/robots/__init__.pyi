@@ -31,6 +31,7 @@ from .robot_tests import examine as examine
 from .robot_tests import examine_at_rest as examine_at_rest
 from .running_gear import support_outline as support_outline
 from .srdf import MAX_SRDF_BYTES as MAX_SRDF_BYTES
+from .srdf import claimed_apart as claimed_apart
 from .srdf import disable_lines as disable_lines
 from .srdf import read_srdf as read_srdf
 from .xacro import expand_xacro as expand_xacro

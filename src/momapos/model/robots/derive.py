@@ -30,7 +30,7 @@ from .base_guess import (
 )
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool
-from .homes import NESTED, ArmToRest, find_homes
+from .homes import NESTED, ArmToRest, find_homes, true_claims
 from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
 from .robot import Robot, load_arms
 from .robot_names import library_names
@@ -69,9 +69,11 @@ class Derived:
     """Content of the robot file."""
     pairs: Mapping[tuple[str, str], str]
     """Pairs of links in permanent contact with the reason, for an SRDF; includes the pairs of the
-    URDF's own SRDF if more are needed."""
+    URDF's own SRDF if that lacks some, or has some that are not true."""
     assumptions: tuple[str, ...]
     """Assumptions, one line each, the most important first."""
+    srdf: str = ""
+    """Name of the SRDF to write next to the robot file, with these pairs; "" for none."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def derive_robot(
     plugin = drive_plugin(source.content, urdf)
     drive = find_drive(model, anchor, boxed, guess, plugin, notes)
     waiting = [ArmToRest(name, arm.chain, arm.text) for name, arm in arms.items()]
+    given, srdf = srdf, true_claims(model, base_link, waiting, srdf, seed, notes)
     homes = find_homes(
         model, base_link, waiting, footprint, srdf, seed, notes,
         lambda share, what: report(0.2 + 0.8 * share, what),
@@ -149,7 +152,11 @@ def derive_robot(
         name: replace(arm, text=replace(arm.text, home=homes.states[name]))
         for name, arm in arms.items()
     }
-    ours = _our_srdf(pairs, srdf, urdf, out, notes)
+    _note_pairs(pairs, srdf, notes)
+    written, kept = "", _kept_srdf(srdf, urdf, out)
+    if pairs or srdf is not given:
+        written = _new_srdf(given, out)
+        kept = written
     if source.mount is not None and BOX in model.links:
         notes.append(f"base: a driving box of {' x '.join(f'{v:g}' for v in _box(source))} m")
     notes.sort(key=lambda note: not note.startswith("IMPORTANT"))
@@ -158,7 +165,7 @@ def derive_robot(
     text = RobotText(
         name=_name(model, out, notes),
         urdf=_relative(urdf, out),
-        srdf=ours,
+        srdf=kept,
         base_link=base_link,
         footprint=footprint,
         drive=drive,
@@ -172,8 +179,8 @@ def derive_robot(
         mount_urdf="" if mount_urdf is None else _relative(mount_urdf, out),
         packages={name: _relative(folder, out) for name, folder in source.packages.items()},
     )
-    known = dict(srdf.reasons) if pairs else {}
-    return Derived(text.text(), {**known, **pairs}, tuple(dict.fromkeys(notes)))
+    known = dict(srdf.reasons) if written else {}
+    return Derived(text.text(), {**known, **pairs}, tuple(dict.fromkeys(notes)), written)
 
 
 def _chains(
@@ -209,15 +216,17 @@ def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, flo
     }
 
 
-def _our_srdf(
-    pairs: dict[tuple[str, str], str], srdf: Srdf, urdf: Path, out: Path, notes: list[str]
-) -> str:
-    """Return the SRDF for the robot file: ours, or the user's if it is not next to the URDF."""
-    ours = f"{out.stem}.srdf" if pairs else ""
-    _note_pairs(pairs, srdf, ours, notes)
-    if not pairs and srdf.path is not None and srdf.path != srdf_next_to(resolved(urdf)):
-        return _relative(srdf.path, out)
-    return ours
+def _kept_srdf(srdf: Srdf, urdf: Path, out: Path) -> str:
+    """Return the user's SRDF for the robot file; "" if it is next to the URDF, or if none is."""
+    if srdf.path is None or srdf.path == srdf_next_to(resolved(urdf)):
+        return ""
+    return _relative(srdf.path, out)
+
+
+def _new_srdf(given: Srdf, out: Path) -> str:
+    """Return the name of an SRDF to write, which is not that of the user's."""
+    name = out.with_suffix(".srdf")
+    return f"{out.stem}_checked.srdf" if given.path == resolved(name) else name.name
 
 
 def _fingers(model: Articulated, srdf: Srdf) -> set[str]:
@@ -288,7 +297,7 @@ def _of_arm(note: str, name: str) -> str:
     return f"{name}: {note}"
 
 
-def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes: list[str]) -> None:
+def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, notes: list[str]) -> None:
     if srdf.path is not None:
         notes.append(
             f"self-collision: the {len(srdf.disabled)} pairs in {srdf.path} are not checked"
@@ -300,7 +309,7 @@ def _note_pairs(pairs: dict[tuple[str, str], str], srdf: Srdf, ours: str, notes:
         neighbors = len(pairs) - always - nested
         notes.append(
             f"self-collision: {len(pairs)} pairs of links are never checked: {always} touch in "
-            f"almost every state, {neighbors} are neighbors that touch often{stages}; see {ours}"
+            f"almost every state, {neighbors} are neighbors that touch often{stages}; see the SRDF"
         )
 
 
@@ -369,8 +378,8 @@ def write_robot(
         derived = _derive_expanded(source, urdf, expanded, out, seed, cache, report)
     else:
         derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
-    if derived.pairs:
-        srdf = out.with_suffix(".srdf")
+    if derived.srdf:
+        srdf = out.with_name(derived.srdf)
         _refuse_existing(srdf)
         files[srdf] = srdf_text(out.stem, derived.pairs)
     _write({**files, out: derived.toml}, out, cache, inspect)

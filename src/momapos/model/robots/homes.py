@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import RobotError
 from momapos.core.compiled import F1, F2, entry
 from momapos.model.collision import (
     Spheres,
@@ -34,9 +35,16 @@ from momapos.model.urdf import Articulated
 from .base_guess import base_links
 from .gripper_guess import listed, points_of
 from .joint_tree import ArmChain
-from .load_limits import inevitable_pairs, load_arrays, sample_states, touches
+from .load_limits import (
+    crossing_shares,
+    inevitable_pairs,
+    load_arrays,
+    most_crossing,
+    sample_states,
+    touches,
+)
 from .robot_text import ArmText
-from .srdf import Srdf
+from .srdf import Srdf, claims
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -329,10 +337,15 @@ def nested_pairs(
     for link in tuple(stages):
         while (link := above.get(link, "")) and link not in stages:
             stages.add(link)
+    return {pair: NESTED for pair in checked_pairs(spheres) if stages.issuperset(pair)}
+
+
+def checked_pairs(spheres: Spheres) -> list[tuple[str, str]]:
+    """Return the pairs of links that a collision model checks."""
     links = spheres.links
     moving = [(links[i], links[j]) for i, j in spheres.pairs.tolist()]
     base = [(links[g], spheres.base_links[b]) for g, b in np.argwhere(spheres.base_pairs).tolist()]
-    return {pair: NESTED for pair in (*moving, *base) if stages.issuperset(pair)}
+    return [*moving, *base]
 
 
 def rigid_pairs(
@@ -371,6 +384,54 @@ def without(spheres: Spheres, pairs: Collection[tuple[str, str]]) -> Spheres:
         exact=spheres.exact[keep],
         base_pairs=spheres.base_pairs & ~free,
     )
+
+
+def true_claims(
+    model: Articulated,
+    base_link: str,
+    arms: Sequence[ArmToRest],
+    srdf: Srdf,
+    seed: int,
+    notes: list[str],
+) -> Srdf:
+    """Return an SRDF without the pairs that it says never touch, but that do in sampled states.
+
+    Args:
+        model: The robot.
+        base_link: Link on the floor.
+        arms: Its arms.
+        srdf: The SRDF; returned unchanged if all is true.
+        seed: Seed of the sampled states.
+        notes: Receives what is not true.
+
+    Raises:
+        RobotError: It disables all pairs that an arm moves, and some of them touch.
+    """
+    claimed = claims(srdf.reasons)
+    false: dict[frozenset[str], float] = {}
+    for arm in arms if srdf.disabled else ():
+        chain, segments = build_chain(model, base_link, arm.text.tool_link, arm.text.joints)
+        spheres = build_spheres(model, segments, (), arm.text.gripper_links)
+        every = set(checked_pairs(spheres))
+        q = sample_states(chain, np.random.default_rng(seed))
+        everything = srdf.disabled.issuperset(map(frozenset, every))
+        pairs = srdf.disabled if everything else claimed
+        spheres = without(spheres, {pair for pair in every if frozenset(pair) not in pairs})
+        shares = crossing_shares(model, chain, segments, spheres, pairs, q)
+        if everything and shares:
+            raise RobotError(
+                f"{srdf.path}: disables all {len(every)} pairs of links that the arm moves, but "
+                f"{most_crossing(shares)}; remove the pairs that touch, or the file"
+            )
+        false |= {pair: max(share, false.get(pair, 0.0)) for pair, share in shares.items()}
+    if not false:
+        return srdf
+    notes.append(
+        f"IMPORTANT: self-collision: {srdf.path} says that they never touch, but "
+        f"{most_crossing(false)}; they are checked"
+    )
+    reasons = {pair: why for pair, why in srdf.reasons.items() if frozenset(pair) not in false}
+    return replace(srdf, reasons=reasons, disabled=srdf.disabled.difference(false))
 
 
 CANDIDATES = 4

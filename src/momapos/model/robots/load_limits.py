@@ -6,6 +6,7 @@ margin below the effort limits is for them.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ from momapos.model.collision import (
     hit_self,
     place_arm,
     scratch_of,
+    surfaces_cross,
 )
 from momapos.model.kinematics import (
     BASE,
@@ -189,6 +191,8 @@ ALWAYS_SHARE = 0.95
 NEIGHBOR_REST_SHARE = 0.1
 """Share of states in contact above which neighbors that also touch at rest are never checked [-];
 contact at rest alone can come from an arm that is folded there."""
+MAX_CROSSINGS = 20
+"""Number of states with overlapping hulls in which the surfaces of two links are compared [-]."""
 NEIGHBOR_SHARE = 0.5
 """Share of states in contact above which neighbors in the arm are never checked [-]; a wrist that
 can hardly rotate has too coarse shapes."""
@@ -255,6 +259,41 @@ def inevitable_pairs(
         ):
             found[a, b] = "Default"
     return found
+
+
+def crossing_shares(
+    model: Articulated,
+    chain: Chain,
+    segments: Segments,
+    spheres: Spheres,
+    pairs: Collection[frozenset[str]],
+    q: Float[np.ndarray, "m n"],
+) -> dict[frozenset[str], float]:
+    """Return in which share of states the surfaces of pairs of links cross [-].
+
+    Args:
+        model: The robot.
+        chain, segments: Its arm.
+        spheres: Its collision model, with these pairs.
+        pairs: The pairs; only those that cross are returned.
+        q: States.
+    """
+    found, shares = contacts(chain, spheres, q), dict[frozenset[str], float]()
+    for names, hit in zip(found.pairs, found.by_hulls.T, strict=True):
+        if hit.any() and frozenset(names) in pairs:
+            states = q[hit][:MAX_CROSSINGS]
+            share = surfaces_cross(model, chain, segments, spheres, names, states).mean()
+            if share > 0.0:
+                shares[frozenset(names)] = float(share * hit.mean())
+    return shares
+
+
+def most_crossing(shares: Mapping[frozenset[str], float]) -> str:
+    """Return in words which pair of links crosses in most states."""
+    pair = max(shares, key=lambda pair: (shares[pair], sorted(pair)))
+    one, other = sorted(pair)
+    more = f", and {len(shares) - 1} more pairs do" if len(shares) > 1 else ""
+    return f"{one} and {other} overlap in {100 * shares[pair]:.2g} % of the arm's states{more}"
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from .robot_file import (
     srdf_of,
 )
 from .robot_names import find_robot, library_file
-from .srdf import read_srdf
+from .srdf import claimed_apart, read_srdf
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -98,6 +98,8 @@ class Robot:
     disabled: frozenset[frozenset[str]]
     """Pairs of links whose contact is never checked."""
 
+    claimed: frozenset[frozenset[str]] = frozenset()
+    """Those that are said never to touch; the exact check compares their surfaces."""
     srdf: Path | None = None
     """File with these pairs; None without one."""
     grips: Grip = Grip.FINGERS
@@ -370,6 +372,7 @@ def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None
         grip_force=tool.force or ASSUMED_FORCE,
         assumed=(*_assumed(tool, path), *read.ignored),
         disabled=frozenset() if srdf is None else read_srdf(srdf),
+        claimed=frozenset() if srdf is None else claimed_apart(srdf),
         srdf=srdf,
         arm=chosen,
         arms=() if "" in arms else tuple(arms),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.model.collision import contacts
+from momapos.model.collision import build_spheres, contacts
 from momapos.model.records import MIN_STABILITY
 
 from .base_guess import (
@@ -23,7 +24,14 @@ from .fingers import TIP_LENGTH, widest
 from .gripper_guess import points_of
 from .hand_openings import finger_links, opposed
 from .joint_tree import find_anchor
-from .load_limits import robot_loads, sample_states, self_collision_shares, touches
+from .load_limits import (
+    crossing_shares,
+    most_crossing,
+    robot_loads,
+    sample_states,
+    self_collision_shares,
+    touches,
+)
 from .robot import Grip, Robot
 from .running_gear import drawn_meshes, find_running_gear
 
@@ -51,9 +59,29 @@ class RobotTest:
     """What to correct if the test failed."""
 
 
-def examine_at_rest(robot: Robot) -> tuple[RobotTest, RobotTest, RobotTest]:
-    """Test whether home is free of contact, the gripper opens, and the robot stands upright."""
-    return _home(robot), _gripper(robot), _upright(robot)
+def examine_at_rest(robot: Robot) -> tuple[RobotTest, ...]:
+    """Test whether home is free of contact, the gripper opens, and the robot stands upright.
+
+    If its SRDF has pairs of links that never touch, these are tested, too.
+    """
+    return _home(robot), _gripper(robot), _upright(robot), *_claims(robot)
+
+
+def _claims(robot: Robot) -> Iterator[RobotTest]:
+    """Test the pairs that the SRDF says never touch, by the meshes as they are in the files."""
+    if robot.srdf is None or not robot.claimed:
+        return
+    model, chain, segments = robot.model, robot.chain, robot.segments
+    others = robot.disabled - robot.claimed
+    spheres = build_spheres(model, segments, others, robot.gripper_links)
+    q = np.vstack([robot.home, sample_states(chain, np.random.default_rng(0))])
+    shares = crossing_shares(model, chain, segments, spheres, robot.claimed, q)
+    if not shares:
+        words = f"the pairs that never touch by {robot.srdf.name} are apart in {len(q)} states"
+        yield RobotTest("srdf", robot.arm, True, words)
+        return
+    words = f"{robot.srdf.name} says that they never touch, but {most_crossing(shares)}"
+    yield RobotTest("srdf", robot.arm, False, words, f"remove these pairs from {robot.srdf}")
 
 
 def _home(robot: Robot) -> RobotTest:

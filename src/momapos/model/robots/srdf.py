@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from momapos.model.urdf import Articulated
 
 MAX_SRDF_BYTES = 5_000_000
+NEVER = "Never"
+"""Reason of a pair that is said to touch in no state."""
 _FOLDERS = (".", "../srdf", "srdf", "../config", "..")
 """Folders of SRDFs relative to the URDF's folder, in order of search."""
 _MOVEIT = ("*_moveit_config/config", "../*_moveit_config/config", "../../*_moveit_config/config")
@@ -63,6 +65,16 @@ class Srdf:
 def read_srdf(path: Path) -> frozenset[frozenset[str]]:
     """Return the link pairs that an SRDF disables; empty if the file is missing."""
     return _open(path).disabled if _exists(path) else frozenset()
+
+
+def claimed_apart(path: Path) -> frozenset[frozenset[str]]:
+    """Return the link pairs that an SRDF says never touch; empty if the file is missing."""
+    return claims(_open(path).reasons) if _exists(path) else frozenset()
+
+
+def claims(reasons: Mapping[tuple[str, str], str]) -> frozenset[frozenset[str]]:
+    """Return the pairs that are said never to touch."""
+    return frozenset(frozenset(pair) for pair, why in reasons.items() if why == NEVER)
 
 
 def srdf_next_to(urdf: Path) -> Path | None:

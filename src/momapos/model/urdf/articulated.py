@@ -6,6 +6,7 @@ convex pieces. Hulls that a box covers loosely, such as those of round tables, g
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -114,7 +115,7 @@ def in_convex_pieces(urdf: Urdf, cache: Cache | None = None) -> Urdf:
         return tuple(
             Geometry(
                 "mesh", (1.0, 1.0, 1.0), np.eye(4), shape.name, Mesh(piece.vertices, piece.faces),
-                f"piece {k} of {_mesh_name(shape)}",
+                f"piece {k} of {_mesh_name(shape)}", shape,
             )
             for k, piece in enumerate(found, 1)
         )  # fmt: skip
@@ -162,6 +163,15 @@ def _merged(pieces: tuple[Hull, ...], limit: float) -> tuple[Hull, ...]:
         both, *old = pairs[least]
         pieces = (*(piece for piece in pieces if piece not in old), both)
     return pieces
+
+
+def surface_of(geometry: Geometry) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles of a shape in the link frame; those of the hull if they are damaged."""
+    if geometry.kind == "mesh":
+        with contextlib.suppress(UrdfError):
+            return triangles_of(geometry)
+    hull = hull_of(geometry)
+    return hull.vertices[hull.faces]
 
 
 def volume_of(hull: Hull) -> float:
@@ -450,6 +460,15 @@ class Articulated:
     def _pieces(self) -> dict[tuple[str, int], tuple[Hull, ...]]:
         return {}
 
+    def surface(self, link: str) -> Float[np.ndarray, "t 3 3"]:
+        """Return the triangles of a link's collision elements before cutting, in its frame.
+
+        Meshes with unreadable faces have the triangles of their hulls.
+        """
+        shapes = [shape.whole or shape for shape in self.urdf.links[link].collisions]
+        found = [surface_of(shape) for shape in {id(shape): shape for shape in shapes}.values()]
+        return np.concatenate([np.empty((0, 3, 3)), *found])
+
     def hull(self, link: str, shape: Geometry) -> Hull:
         """Return the hull of a link's shape, visual or collision."""
         hulls = zip(self.urdf.links[link].collisions, self.hulls[link], strict=True)
@@ -482,7 +501,10 @@ class Articulated:
         shapes = {name: link.collisions for name, link in self.urdf.links.items()}
         meshes = [shape.mesh for group in shapes.values() for shape in group if shape.mesh]
         digests = {mesh: mesh_digest(mesh) for mesh in dict.fromkeys(meshes)}
-        bare = {name: [replace(s, mesh=None) for s in group] for name, group in shapes.items()}
+        bare = {
+            name: [replace(s, mesh=None, whole=None) for s in group]
+            for name, group in shapes.items()
+        }
         held = sorted(self.held.items())
         return freeze((self.urdf.root, self.urdf.joints, held, bare, [digests[m] for m in meshes]))
 

@@ -43,6 +43,8 @@ class Geometry:
     """File of a mesh, or the mesh itself if it was made in code."""
     piece: str = ""
     """Number and mesh of a convex piece, in words; "" for a whole shape."""
+    whole: Geometry | None = None
+    """The mesh that a convex piece is cut from."""
 
 
 @dataclass(frozen=True)
