@@ -78,6 +78,36 @@ def test_an_opening_beyond_the_travel_of_the_fingers_fails(
     assert "the fingertips open to 0.090 m" in test.words
 
 
+@pytest.mark.parametrize(
+    ("opening", "ok"), [("0.09", True), ("0.05", True), ("0.099", True), ("0.12", False)]
+)
+def test_an_object_as_wide_as_the_opening_fits_between_the_shapes_of_the_fingers(
+    file: Path, opening: str, ok: bool
+) -> None:
+    robot = changed(file, r"^opening = .*", f"opening = {opening}")
+    (test,) = [one for one in self_test([robot]) if one.name == "gripper"]
+    assert test.passed is ok
+    if not ok:
+        words = r"a box of 0\.110 m, .* overlaps (left|right)_finger by 10 mm"
+        assert re.match(words, test.words)
+
+
+def test_a_tool_frame_in_a_finger_fails(tmp_path: Path) -> None:
+    """The derivation measures gaps between tips; the test tries an object at the tool."""
+    path = tmp_path / "robot.urdf"
+    path.write_text(mobile_manipulator(tool=False))
+    file = write_robot(path)[0]
+    text = file.read_text()
+    grasp = re.search(r"xyz = \[([^\]]*)\]", text)
+    assert grasp is not None
+    x, y, z = (float(v) for v in grasp.group(1).split(","))
+    file.write_text(text.replace(grasp.group(0), f"xyz = [{x}, {y + 0.03}, {z}]"))
+    robot = load_robot(file)
+    (test,) = [one for one in self_test([robot]) if one.name == "gripper"]
+    assert test.passed is False
+    assert "between the open fingers" in test.words
+
+
 def test_a_closing_axis_along_the_fingers_fails(file: Path) -> None:
     robot = changed(file, r"^closing_axis = .*", "closing_axis = [0, 0, 1]")
     assert examine_at_rest(robot)[1].passed is not True

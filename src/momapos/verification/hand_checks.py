@@ -9,9 +9,10 @@ behind a handle that belongs to a panel's mesh.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -21,7 +22,7 @@ from momapos.core.geometry import apply, invert
 from momapos.model.records import Family, Motion
 from momapos.model.urdf import Articulated
 
-from .exact_shapes import Shapes, element_pieces, join
+from .exact_shapes import Shapes, element_pieces, hulls_of, join, prepared
 from .link_bodies import LinkBodies, body_poses
 from .moved_part import MovedPart
 from .path_checks import DensePath
@@ -506,3 +507,36 @@ class _Surface:
             body=np.concatenate([np.zeros(0, np.int64), *body]),
             Ts_body_shape=np.concatenate([np.empty((0, 4, 4)), *Ts]),
         )
+
+
+def depth_between(
+    model: Articulated,
+    links: Collection[str],
+    values: Mapping[str, float],
+    T_tool_object: Float[np.ndarray, "4 4"],
+    tool: str,
+    size: tuple[float, float, float],
+) -> tuple[float, str]:
+    """Return how deep a box overlaps a hand, and the link that it overlaps.
+
+    Args:
+        model: The robot.
+        links: Links of the hand.
+        values: Joint values [rad] or [m]; other joints are at rest.
+        T_tool_object: Pose of the box in the tool frame.
+        tool: The tool link.
+        size: Edges of the box [m].
+
+    Returns:
+        The depth [m], negative for a distance, and the link.
+    """
+    bodies, shapes = prepared(model)
+    Ts = body_poses(bodies, values, np.eye(4))
+    T = Ts[0, bodies.of_link[tool]] @ bodies.T_body_link[tool] @ T_tool_object
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
+    box = hulls_of(apply(T, corners), np.array([0, 8]), 0, "")
+    hand = shapes.take(np.array([k for k, n in enumerate(shapes.names) if n in links], np.int64))
+    pairs = all_pairs(len(hand), 1)
+    depth, _ = deepest(hand, hand.placed(Ts), box, box.Ts_body_shape[None], pairs, -max(size))
+    k = int(depth.argmax())
+    return float(depth[k]), hand.names[k]

@@ -5,18 +5,23 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from momapos.core import USER_CACHE, Cache, MomaposError
 from momapos.model.records import PlacementPlan
 from momapos.model.robots import (
+    MAX_OPENING_ERROR,
+    Grip,
     Robot,
     RobotTest,
     examine_at_rest,
+    widest_stroke,
 )
 from momapos.model.scene import Scene, load_scene
 from momapos.planning import PipelineConfig, PlacementQuery, plan_base_placement
 from momapos.planning.grasps import make_task
 from momapos.planning.reachability import by_arm_length
-from momapos.verification import self_contacts
+from momapos.verification import Limits, depth_between, self_contacts
 
 SCENE = "kitchen_small"
 DRAWERS = (
@@ -28,14 +33,16 @@ DRAWERS = (
 may not reach. Their handles are at 0.77 and 0.74 m."""
 TIMEOUT = 3.0
 """Processor time for the search of one drawer [s]; a library arm needs 0.3 to 0.6 s for all."""
+THIN = 0.004
+"""Edges of the box between the fingers along and across the approach [m]."""
 NAME = "drawer"
 
 
 def self_test(arms: Sequence[Robot], *, cache: Cache | None = USER_CACHE) -> tuple[RobotTest, ...]:
     """Test every arm of a robot: in contact with itself, at rest, and on a drawer.
 
-    Contacts at home are those of the exact check, whose shapes the robot file is not derived from.
-    Takes a few seconds.
+    Contacts at home and between the fingers are those of the exact check, whose shapes the robot
+    file is not derived from. Takes a few seconds.
 
     Args:
         arms: The robot, once for each arm.
@@ -43,7 +50,7 @@ def self_test(arms: Sequence[Robot], *, cache: Cache | None = USER_CACHE) -> tup
     """
     tests: dict[tuple[str, str], RobotTest] = {}
     for robot in arms:
-        for test in (*_at_home(robot), *examine_at_rest(robot)):
+        for test in (*_at_home(robot), *_opened(robot), *examine_at_rest(robot)):
             tests.setdefault((test.arm, test.name), test)
     results = list(tests.values())
     failed = {test.arm for test in results if test.passed is False}
@@ -67,6 +74,34 @@ def _at_home(robot: Robot) -> Iterator[RobotTest]:
             "design"
         )
         yield RobotTest("home", robot.arm, False, check.detail, remedy)
+
+
+def _opened(robot: Robot) -> Iterator[RobotTest]:
+    """Test with the shapes of the exact check that a box of the opening fits between the fingers.
+
+    Yields nothing if it does, with 1 cm to spare, and for hands that are not two sides.
+    """
+    stroke = widest_stroke(robot) if robot.grips is Grip.FINGERS else None
+    width = robot.opening - MAX_OPENING_ERROR
+    if stroke is None or width <= THIN:
+        return
+    T_tool_object = np.eye(4)
+    across = np.cross(robot.approach_axis, robot.closing_axis)
+    T_tool_object[:3, :3] = np.stack([robot.approach_axis, robot.closing_axis, across], -1)
+    depth, link = min(
+        depth_between(
+            robot.model, robot.gripper_links, values, T_tool_object, robot.tool_link,
+            (THIN, width, THIN),
+        )
+        for values in ({}, stroke.rest)
+    )  # fmt: skip
+    if depth > Limits().penetration:
+        words = (
+            f"a box of {width:.3f} m, 1 cm less than opening, overlaps {link} by "
+            f"{1000 * depth:.0f} mm between the open fingers"
+        )
+        remedy = f"correct opening, closing_axis, tool_link or [rest] of {robot.path.name}"
+        yield RobotTest("gripper", robot.arm, False, words, remedy)
 
 
 def _drawer(robot: Robot, scene: Scene) -> RobotTest:

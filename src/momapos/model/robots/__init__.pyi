@@ -11,6 +11,7 @@ from .hand_openings import opened_to as opened_to
 from .hand_openings import pivots as pivots
 from .hand_openings import squared as squared
 from .hand_openings import tips_of as tips_of
+from .hand_openings import widest_stroke as widest_stroke
 from .load_limits import RobotLoads as RobotLoads
 from .load_limits import StateLoads as StateLoads
 from .load_limits import robot_loads as robot_loads
@@ -25,6 +26,7 @@ from .robot_names import MAP_JOINTS as MAP_JOINTS
 from .robot_names import find_named_robot as find_named_robot
 from .robot_names import library_file as library_file
 from .robot_names import library_names as library_names
+from .robot_tests import MAX_OPENING_ERROR as MAX_OPENING_ERROR
 from .robot_tests import RobotTest as RobotTest
 from .robot_tests import blocking as blocking
 from .robot_tests import examine as examine

@@ -21,7 +21,7 @@ from momapos.model.collision import FINGER, reposed
 from momapos.model.kinematics import build_chain
 from momapos.model.urdf import Boxes
 
-from .fingers import facing, jaws, narrower
+from .fingers import Stroke, facing, jaws, narrower, widest
 from .robot import Grip, Robot
 
 if TYPE_CHECKING:
@@ -98,6 +98,15 @@ def opposed(robot: Robot, fingers: set[str]) -> tuple[tuple[str, ...], tuple[str
         return None
     sides = jaws(robot.model, robot.tool_link, roots, robot.closing_axis)
     return sides if all(sides) else None
+
+
+def widest_stroke(robot: Robot) -> Stroke | None:
+    """Return the widest gap between the fingertips; None if they do not form two sides."""
+    sides = opposed(robot, finger_links(robot))
+    if sides is None:
+        return None
+    axes = np.stack([robot.closing_axis, robot.approach_axis])
+    return widest(robot.model, robot.tool_link, sides, axes)
 
 
 def tips_of(

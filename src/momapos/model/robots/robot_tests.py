@@ -20,9 +20,9 @@ from .base_guess import (
     off_axle,
     outside,
 )
-from .fingers import TIP_LENGTH, widest
+from .fingers import TIP_LENGTH
 from .gripper_guess import points_of
-from .hand_openings import finger_links, opposed
+from .hand_openings import finger_links, widest_stroke
 from .joint_tree import find_anchor
 from .load_limits import (
     crossing_shares,
@@ -129,9 +129,8 @@ def _gripper(robot: Robot) -> RobotTest:
             "that are only drawn count: --visual-hulls, or visual_hulls = true in the file"
         )
         return RobotTest("gripper", robot.arm, False, words, remedy)
-    sides = opposed(robot, fingers)
-    axes = np.stack([robot.closing_axis, robot.approach_axis])
-    stroke = 0.0 if sides is None else widest(robot.model, robot.tool_link, sides, axes).opening
+    widest = widest_stroke(robot)
+    stroke = 0.0 if widest is None else widest.opening
     joints = [joint for joint in robot.model.joints.values() if joint.child in fingers]
     roots = sum(joint.parent not in fingers for joint in joints)
     if not stroke and roots > 2:
