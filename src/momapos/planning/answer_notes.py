@@ -29,6 +29,11 @@ SPRINGS = "springs are assumed to bear the weight of"
 MIN_LEVER = 1e-3
 """Travel of the hand per unit of a joint below which its pull does not grow [m/rad]."""
 ASSUMED, MARGIN = ResistanceConfig(), GraspConfig().grasp_margin
+MAX_TILT = 10.0
+"""Tilt of a part from which on what rests on it counts as falling: a bottle of 25 x 7 cm tips over at
+16 degrees, and things slide on smooth shelves from about 11 [deg]."""
+TILTED_VALUES = 19
+"""Joint values at which that is looked at [-]."""
 LOOK_AHEAD = 10
 """Degrees or centimeters beyond the end in which the floor is looked for [-]."""
 
@@ -44,7 +49,8 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
     notes = (
-        _hand_note(prepared), _own_note(prepared), _floor_note(plan, prepared),
+        _hand_note(prepared), _own_note(prepared), _contents_note(plan, prepared),
+        _floor_note(plan, prepared),
         _file_note(prepared), _latch_note(prepared), _loose_note(prepared),
         _spring_note(plan, prepared), outside,
     )  # fmt: skip
@@ -80,6 +86,24 @@ def _own_note(prepared: PreparedTask) -> str:
         f"{used} of {len(own)} grasps of your own can be used; at the others the hand is not free, "
         f"or does not hold {target.name}"
     )
+
+
+def _contents_note(plan: PlacementPlan, prepared: PreparedTask) -> str:
+    """Return what moves with the part, and whether it would slide or fall off."""
+    task, target = plan.task, prepared.scene.object(plan.task.object)
+    names = [name for name in sorted(target.model.contents) if "/" not in name]
+    if not names or task.joint is None or task.to is None:
+        return ""
+    several = len(names) > 1
+    words = f"{', '.join(names)} {'move' if several else 'moves'} with {task.object}/{task.joint}"
+    start = target.values()[task.joint]
+    carrier = target.joint(task.joint).child
+    poses = target.moving_poses(task.joint, np.linspace(start, task.to, TILTED_VALUES))[carrier]
+    up = poses[0, :3, :3].T @ [0.0, 0.0, 1.0]
+    tilt = float(np.degrees(np.arccos(np.clip((poses[:, 2, :3] @ up).min(), -1.0, 1.0))))
+    if tilt < MAX_TILT:
+        return words
+    return f"{words}; it tilts by {tilt:.0f} deg, so {'they' if several else 'it'} would fall"
 
 
 def _floor_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

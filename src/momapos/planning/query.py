@@ -104,6 +104,7 @@ class PlacementQuery:
     """
 
     scene: Scene
+    """What moves with the part of the task is a link of its object, see `Scene.with_contents`."""
     robot: Robot
     task: Task
     reach: ReachScorer
@@ -130,6 +131,9 @@ class PlacementQuery:
         expect("scene", self.scene, Scene, "load_scene reads one")
         expect("robot", self.robot, Robot, "load_robot reads one")
         expect("task", self.task, Task, "make_task makes one")
+        if self.task.joint is not None:
+            loaded = self.scene.with_contents(self.task.object, self.task.joint)
+            object.__setattr__(self, "scene", loaded)
         if not hasattr(self.reach, "min_score"):
             raise InputError("reach must be a reachability map; load_reach_map reads one")
         object.__setattr__(self, "reach", checked_reach(self.reach))

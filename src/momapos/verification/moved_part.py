@@ -18,6 +18,7 @@ from .convex import Body, overlap
 from .exact_shapes import (
     Shapes,
     concave_surface,
+    elements_of,
     join,
     moving_names,
     of_bodies,
@@ -140,6 +141,8 @@ class OwnElements:
     """Whether a joint of the object moves the element."""
     displaced: Bool[np.ndarray, " e"]
     """Whether another joint of the object has moved the element from rest."""
+    loose: Bool[np.ndarray, " e"]
+    """Whether the element belongs to a thing that rests on the object."""
     first: int = 0
     """Index of the first standing shape among all obstacles of a scene."""
     T_world_frame: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
@@ -202,6 +205,7 @@ def split_object(item: SceneObject, task: Task) -> tuple[MovedPart, OwnElements]
         of_standing=element[kept],
         movable=own_body > 0,
         displaced=np.isin(own_body, _displaced(item, task, bodies)),
+        loose=np.array([link in item.model.contents for link, _ in elements_of(item.model)], bool),
     )
     return _part(item, task, bodies, hulls.take(moved)), own
 

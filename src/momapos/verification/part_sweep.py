@@ -317,9 +317,9 @@ def _contacts(part: MovedPart, own: OwnElements, limits: Limits) -> PartSweepChe
     """Return the check of a part against what stands still in a frame, see `own_contacts`."""
     pairs = all_pairs(len(part.shapes), len(own.standing))
     check = PartSweepCheck(part, part.shapes, own.standing, pairs, np.zeros(len(pairs)), limits)
-    element = own.of_standing[pairs[:, 1]]
-    resting = _resting(check, own.displaced[element])
-    error = _model_error(resting, own.movable[element])
+    element, loose = own.of_standing[pairs[:, 1]], own.loose[own.of_part[pairs[:, 0]]]
+    resting = _resting(check, own.displaced[element] | loose)
+    error = _model_error(resting, own.movable[element] | loose)
     check = replace(check, already=_allowed(check, resting, error))
     suspects = (resting > limits.deeper) | (check.excess(part.goal) > 0.0)
     if suspects.any():
@@ -328,17 +328,18 @@ def _contacts(part: MovedPart, own: OwnElements, limits: Limits) -> PartSweepChe
     return check
 
 
-def _resting(check: PartSweepCheck, displaced: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+def _resting(check: PartSweepCheck, given: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
     """Return how deep pairs overlap in the given scene, or if more, where the part is closed [m].
 
-    Where another joint has moved the obstacle from rest, the closed part may hit it.
+    Only the given scene counts where another joint has moved the obstacle from rest, and for what
+    rests on the part: these may hit each other where the part is closed.
     """
     part, floor = check.part, min(TOUCHING, check.limits.penetration - check.limits.deeper)
     depth = check.depths(part.start, floor)
     if part.rest == part.start:
         return depth
     closed = check.depths(part.rest, floor)
-    return np.where(displaced, depth, np.maximum(depth, closed))
+    return np.where(given, depth, np.maximum(depth, closed))
 
 
 def _allowed(
@@ -412,7 +413,8 @@ def _surfaces(
         pairs = near + np.array([len(moving), len(fixed)])
         moving, fixed = _appended(moving, one), _appended(fixed, other)
         fine = replace(check, moving=moving, fixed=fixed, pairs=pairs, already=np.zeros(len(pairs)))
-        depth = _resting(fine, np.repeat(own.displaced[e], len(pairs)))
+        given = own.displaced[e] | own.loose[own.of_part[i]]
+        depth = _resting(fine, np.repeat(given, len(pairs)))
         kept = depth <= check.limits.deeper
         deepest_rest = min(float(depth.max(initial=0.0)), MODEL_ERROR)
         added.append((pairs[kept], np.full(int(kept.sum()), deepest_rest)))

@@ -1,3 +1,4 @@
+from .contents import resting_on as resting_on
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import assumes_springs as assumes_springs
 from .joint_resistance import known_resistance as known_resistance

@@ -16,6 +16,7 @@ from momapos.core.geometry import pose_wxyz
 from momapos.model.records import Confidence, Hypothesis, JointResistance
 from momapos.model.urdf import Articulated, box_urdf, read_furniture
 
+from .contents import WORLD
 from .latches import read_latch
 from .scene_members import ROUNDING_TOLERANCE, SceneConfidence, SceneEntry, SceneHypothesis, Unset
 from .scene_object import SceneObject
@@ -256,6 +257,7 @@ class ObjectReader:
     def read(self) -> SceneObject:
         """Return the object."""
         item, where, model = self.item, self.where, self.model()
+        on = item.inside if isinstance(item.on, Unset) else item.on
         joints, names = self.joint_values("joints", item.joints, model), list(model.joints)
         closed = self.joint_values("closed", item.closed, model)
         if closed:
@@ -268,6 +270,7 @@ class ObjectReader:
             _hypotheses(item.hypotheses, slides, where), _confidence(item.confidence, names, where),
             item.resistance, None if isinstance(item.mass, Unset) else item.mass,
             latch=read_latch(item.latch, model, where),
+            on=None if isinstance(on, Unset) else on or WORLD,
         )  # fmt: skip
 
     def model(self) -> Articulated:

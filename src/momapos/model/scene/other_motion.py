@@ -173,13 +173,17 @@ def with_overrides(scene: Scene, plan: PlacementPlan) -> Scene:
 def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
     """Return a scene with the hypotheses and joint values of a plan.
 
+    What moves with the part of its task is a link of its object.
+
     Raises:
         UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
     """
     for name, taken in plan.scene_hypotheses.items():
         for joint, index in taken.items():
             scene = scene_with_hypothesis(scene, name, joint, index)
-    return scene.with_joints(plan.scene_joints)
+    scene = scene.with_joints(plan.scene_joints)
+    task = plan.task
+    return scene if task.joint is None else scene.with_contents(task.object, task.joint)
 
 
 def save_with_part_motion(

@@ -19,6 +19,7 @@ from momapos.core import (
     SceneError,
     dotted,
     finite_number,
+    owner_cache,
     parse_quantity,
     read_record,
     read_text_bounded,
@@ -28,8 +29,9 @@ from momapos.core.geometry import signed_area
 from momapos.model.records import NO_OVERRIDES, JointResistance, Outline, Overrides
 from momapos.model.urdf import Joint
 
+from .contents import poses_after, with_contents
 from .scene_members import Corners, IgnoredKey
-from .scene_object import MAX_MASS, SceneObject, Wall, wall_name, walls_around
+from .scene_object import MAX_MASS, MAX_VARIANTS, SceneObject, Wall, wall_name, walls_around
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -153,6 +155,8 @@ class Scene:
     def with_joint(self, name: str, joint: str, value: float) -> Scene:
         """Return the scene with one joint of one object at another value.
 
+        What rests on the part moves along.
+
         Raises:
             UnknownNameError: The object or joint does not exist.
             SceneError: The joint is a mimic joint.
@@ -162,12 +166,26 @@ class Scene:
         if mimic is not None:
             raise SceneError(f"{name}/{joint} follows {mimic.joint}; set {name}/{mimic.joint}")
         value = finite_number(f"value of {name}/{joint}", value)
-        changed = replace(target, joints={**target.joints, joint: value})
+        moved = {
+            item: replace(self.object(item), T_world_object=T)
+            for item, T in poses_after(self.objects, target, joint, value).items()
+        }
+        moved[name] = replace(target, joints={**target.joints, joint: value})
         return replace(
             self,
-            objects=tuple(changed if o is target else o for o in self.objects),
+            objects=tuple(moved.get(item.name, item) for item in self.objects),
             joints_set={**self.joints_set, name: {**self.joints_set.get(name, {}), joint: value}},
         )
+
+    @owner_cache(MAX_VARIANTS)
+    def with_contents(self, name: str, joint: str) -> Scene:
+        """Return the scene with what moves with a joint as links of its object.
+
+        Raises:
+            UnknownNameError: The object or joint does not exist.
+        """
+        objects = with_contents(self.objects, self.object(name), joint)
+        return self if len(objects) == len(self.objects) else replace(self, objects=objects)
 
     def with_resistance(self, known: Mapping[str, Mapping[str, JointResistance]]) -> Scene:
         """Return the scene with other known resistances, by object and joint.

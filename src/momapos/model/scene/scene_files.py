@@ -40,6 +40,7 @@ from momapos.model.urdf import Geometry, Mesh, Urdf
 from . import bestman
 from .formats import foreign_kind, is_map, obj_text, urdf_text
 from .map_room import read_map_scene, with_map
+from .contents import check_supports
 from .model_copies import model_files
 from .object_reader import (
     FLOOR_EDGE,
@@ -344,6 +345,7 @@ def _read_momapos(data: Mapping[str, Any], path: Path, models: ObjectModels) -> 
         ObjectReader(item, f"{path}: object {index}", path.parent, root, models).read()
         for index, item in enumerate(file.objects)
     )
+    check_supports(objects, f"{path}")
     floor = None
     if file.floor is not None:
         floor = np.array(checked_outline(file.floor, f"{path}: floor"))
@@ -419,6 +421,8 @@ def object_members(item: SceneObject) -> dict[str, Any]:
         members["closed"] = dict(item.model.closed)
     if item.mass is not None:
         members["mass"] = item.mass
+    if item.on is not None:
+        members["on"] = item.on or None
     if item.resistance:
         members["resistance"] = {name: one.members() for name, one in item.resistance.items()}
     if item.latch is not None:

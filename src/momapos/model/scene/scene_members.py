@@ -135,6 +135,11 @@ class SceneEntry(FileRecord):
     """Joint values within the limits [rad] or [m]; others are zero, or at the nearest limit."""
     closed: dict[str, float] = {}
     """Values at which joints are closed [rad] or [m]; others are found from the geometry."""
+    on: Name | Unset | None = UNSET
+    """What a rigid object rests on, as OBJECT or OBJECT/PART; null for nothing that moves. Without
+    it the face that carries its base decides."""
+    inside: Name | Unset | None = msgspec.field(default=UNSET, name="in")
+    """The same, for what is in something."""
     mass: Annotated[float, msgspec.Meta(gt=0, le=1e5)] | Unset = UNSET
     """Mass of a rigid object [kg]."""
     resistance: dict[str, JointResistance] = {}
@@ -152,6 +157,8 @@ class SceneEntry(FileRecord):
         super().__post_init__()
         if (self.urdf is UNSET) == (self.box is UNSET):
             raise ValueError("needs either 'urdf' or 'box'")
+        if self.on is not UNSET and self.inside is not UNSET:
+            raise ValueError("needs either 'on' or 'in'")
 
 
 class SceneFile(FileRecord):

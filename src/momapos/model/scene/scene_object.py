@@ -219,6 +219,9 @@ class SceneObject:
     """The wall of the room that this box stands for; None for other objects."""
     latch: Latch | None = None
     """What must be turned before one of its parts opens; None for nothing."""
+    on: str | None = None
+    """What it rests on, as OBJECT or OBJECT/PART; "" for nothing that moves; None for what carries
+    its base."""
 
     @classmethod
     def box(

@@ -7,7 +7,7 @@ convex pieces. Hulls that a box covers loosely, such as those of round tables, g
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -240,15 +240,33 @@ class Articulated:
     """Cache for its geometry, which is expensive to compute."""
     closed: Mapping[str, float] = field(default_factory=dict)
     """Values at which joints are closed, where a scene says so [rad] or [m]; see `opening_of`."""
+    contents: frozenset[str] = frozenset()
+    """Links that stand for things that rest on it, by which nobody holds it."""
 
     def changed(
         self, *, held: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None
     ) -> Articulated:
         """Return the model with other rest or closed values; it shares the computed geometry."""
         held, closed = self.held if held is None else held, closed or self.closed
-        other = Articulated(self.urdf, held, self.cache, closed)
+        other = Articulated(self.urdf, held, self.cache, closed, self.contents)
         other.__dict__.update({k: v for k, v in self.__dict__.items() if k in _GEOMETRY})
         return other
+
+    def with_geometry_of(
+        self, base: Articulated, parts: Sequence[tuple[Articulated, Mapping[str, str]]]
+    ) -> Articulated:
+        """Take the geometry from the models that this one is made of, and return it.
+
+        Args:
+            base: The model whose links keep their names.
+            parts: The others, each with the names of its links in this model.
+        """
+        for name in ("hulls", "boxes", "static_elements"):
+            found = dict(getattr(base, name))
+            for model, renamed in parts:
+                found |= {renamed[link]: one for link, one in getattr(model, name).items()}
+            self.__dict__[name] = found
+        return self
 
     def __repr__(self) -> str:
         counts = f"{len(self.urdf.links)} links, {len(self.joints)} movable joints"

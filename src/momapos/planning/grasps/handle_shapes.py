@@ -279,8 +279,9 @@ class CarriedPart:
 
     @property
     def moved(self) -> tuple[str, ...]:
-        """All links that move."""
-        return self.model.moved_by(self.joint)
+        """All links of its own that move."""
+        model = self.model
+        return tuple(name for name in model.moved_by(self.joint) if name not in model.contents)
 
     def poses(self, links: Collection[str]) -> dict[str, Float[np.ndarray, "4 4"]]:
         """Return the poses of links in the carrier's frame, with all joints at rest."""
@@ -306,7 +307,7 @@ def rigid_links(part: CarriedPart) -> tuple[str, ...]:
     model, links = part.model, {part.carrier}
     for other in model.urdf.joints:
         fixed = not other.movable or is_handle_joint(model, other)
-        if other.parent in links and fixed:
+        if other.parent in links and fixed and other.child not in model.contents:
             links.add(other.child)
     return tuple(name for name in model.links if name in links)
 

@@ -18,12 +18,13 @@ from momapos.model.scene import (
     SceneObject,
     latch_guess,
     latch_value,
+    resting_on,
     size_hint,
     usual_edge,
 )
 from momapos.model.urdf import hull_space, opening_of, opens_both_ways
 from momapos.planning import survey_floor
-from momapos.planning.grasps import PartFacts, part_facts_of
+from momapos.planning.grasps import PartFacts, part_facts_of, parts_of
 from momapos.verification import ObjectContact, object_contacts
 
 from .report import Finding, FindingKind, FloorReport, JointReport, SceneReport, Severity
@@ -422,6 +423,15 @@ def _some(owner: str, names: Sequence[str], most: int = 3) -> str:
 _ORDER = list(Severity)
 
 
+def rest_findings(scene: Scene) -> Iterator[Finding]:
+    """Yield what rests on parts, and so moves with them."""
+    for item in scene.objects:
+        for joint in parts_of(item):
+            for name, link in resting_on(scene.objects, item, item.model.moved_by(joint)).items():
+                text = f"{name!r} rests on {item.name}/{link} and moves with {item.name}/{joint}"
+                yield Finding(FindingKind.RESTS, Severity.NOTE, text, object=name, joint=joint)
+
+
 def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
     """Check a scene before a task: what is wrong, and what is known about its parts.
 
@@ -445,6 +455,7 @@ def check_scene(scene: Scene, robot: Robot | None = None) -> SceneReport:
     findings += shape_findings(scene)
     bare = {one.object for one in findings if one.kind is FindingKind.NO_SHAPE}
     findings += joint_findings([one for one in joints if one.object not in bare])
+    findings += rest_findings(scene)
     if robot is not None and scene.objects:
         floor, joints, more = drive_report(scene, robot, joints)
         findings += more

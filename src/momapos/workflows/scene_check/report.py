@@ -39,6 +39,7 @@ class FindingKind(StrEnum):
     JOINT = "joint"
     NO_HANDLE = "no handle"
     LATCH = "latch"
+    RESTS = "rests on a part"
     START = "start"
     DRIVING = "driving"
 
