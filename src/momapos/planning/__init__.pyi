@@ -42,3 +42,4 @@ from .task_setup import start_pose as start_pose
 from .tolerance import with_tolerance as with_tolerance
 from .tour import Request as Request
 from .tour import Tour as Tour
+from .tour import expanded as expanded

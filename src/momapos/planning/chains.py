@@ -25,7 +25,7 @@ from .max_opening import MIN_TIMEOUT
 from .plan import plan_placement
 from .query import PlacementQuery
 from .time_limit import with_note
-from .tour import Request, Tour, plan_requests, scenes_of
+from .tour import Request, Tour, expanded, plan_requests, scenes_of
 
 VALUES = 8
 """Number of values between closed and wide open that are tried, 11 to 23 degrees apart [-]."""
@@ -62,6 +62,7 @@ def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         UnknownNameError: There is no such object or joint.
         OutOfTimeError: The time was over before the first task had an answer.
     """
+    requests = expanded(requests)
     with query.in_time():
         best = plan_requests(query, requests)
     began = query.watch.clock() - best.seconds
@@ -192,9 +193,12 @@ class _Chain:
     def _may_solve(self, k: int, scene: Scene) -> bool | None:
         """Return whether a task has a plan in a scene; None if only the way there is blocked."""
         config = replace(self.query.config, timeout=max(self.left, MIN_TIMEOUT), base="fixed")
+        request = self.requests[k]
+        if request.verb == "place":
+            request = request._replace(to=None)
         query = replace(
-            self.query, scene=scene, task=make_task(scene, *self.requests[k]), config=config,
-            start=None, watch=Stopwatch(self.query.watch.clock),
+            self.query, scene=scene, task=make_task(scene, *request), config=config, start=None,
+            watch=Stopwatch(self.query.watch.clock),
         )  # fmt: skip
         try:
             plan = plan_placement(query).plan

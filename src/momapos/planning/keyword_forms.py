@@ -23,7 +23,7 @@ from .plan import plan_placement
 from .query import PlacementQuery, QueryOptions, as_query
 from .result import PlacementResult
 from .tolerance import SAMPLES, tolerance_at
-from .tour import MAX_TASKS, Request, Tour
+from .tour import MAX_TASKS, Request, Tour, expanded
 
 if TYPE_CHECKING:
     import numpy as np
@@ -244,7 +244,7 @@ def plan_tour(
     tasks = [_request(one) for one in requests]
     if not tasks:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not 0")
-    first = make_task(scene, *tasks[0])
+    first = make_task(scene, *expanded(tasks)[0])
     return plan_chain(as_query(scene, (robot, first, reach), options), tasks)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -15,16 +15,22 @@ from momapos.model.records import (
     ANYWHERE,
     PoseOutcome,
     PoseStatus,
+    RequestVerb,
     Status,
     Task,
-    Verb,
     status_of_all,
 )
 from momapos.model.scene import Scene
-from momapos.planning.grasps import make_task
-from momapos.planning.placement import BaseStatus, PoseMask, base_pose_status
+from momapos.planning.grasps import GraspFilter, make_task
+from momapos.planning.placement import (
+    BaseStatus,
+    PoseMask,
+    base_pose_status,
+    reachable_rectangle,
+)
 
 from .base_pose_check import BasePoseChecks, plan_at_pose
+from .carries import carries_for, refuse_place
 from .config import PipelineConfig
 from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
 from .plan import plan_placement
@@ -47,11 +53,11 @@ the rest is for each task alone [-]."""
 class Request(NamedTuple):
     """A requested task; its meaning depends on the tasks before it."""
 
-    verb: Verb
+    verb: RequestVerb
     object: str
     joint: str | None = None
     to: float | str | None = None
-    """Value to reach, see `make_task`."""
+    """Value to reach, see `make_task`; for `bring` and `place` where to put it, see `spots_for`."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,8 @@ class Tour:
     """Planning time [s]."""
     unanswered: int = 0
     """Number of tasks, after these, that the time limit left without an answer [-]."""
+    scenes: tuple[Scene, ...] = ()
+    """The scene of each task; that of a task that places something has it at its goal."""
 
     @property
     def status(self) -> Status:
@@ -106,34 +114,114 @@ def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     """
     clock = query.watch.clock
     began = clock()
-    planner = _Planner(
-        query,
-        clock,
-        began + query.config.timeout,
-        scenes_of(query.scene, requests),
-        tuple(requests),
-    )
-    visits = planner.stops(0, query.start)
-    steps = [step for visit in visits for step in visit]
-    stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
-    unanswered = len(requests) - len(steps) if steps[-1].plan.feasible else 0
-    return Tour(tuple(steps), tuple(stops), _assumed(requests), clock() - began, unanswered)
+    requests = expanded(requests)
+    tried = dict.fromkeys(carried(requests), 0)
+    best: Tour | None = None
+    while True:
+        choices = Choices(query, tried)
+        scenes = scenes_of(query.scene, requests, choices)
+        planner = _Planner(
+            query, clock, began + query.config.timeout, scenes, tuple(requests), choices.kept
+        )
+        try:
+            visits = planner.stops(0, query.start)
+        except OutOfTimeError:
+            if best is None:
+                raise
+            break
+        steps = [step for visit in visits for step in visit]
+        stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
+        unanswered = len(requests) - len(steps) if steps[-1].plan.feasible else 0
+        rooms = tuple(room for room, _ in scenes[: len(steps)])
+        tour = Tour(
+            tuple(steps), tuple(stops), _assumed(requests), clock() - began, unanswered, rooms
+        )
+        best = tour if best is None or _solved_tasks(tour) > _solved_tasks(best) else best
+        failed = len(steps) - 1
+        pick = failed if failed in tried else failed - 1
+        more = pick in tried and tried[pick] + 1 < choices.count[pick]
+        if steps[-1].plan.status != "infeasible" or not more or clock() > planner.deadline:
+            break
+        tried[pick] += 1
+    return replace(best, seconds=clock() - began)
 
 
-def scenes_of(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Task]]:
-    """Return each task with the scene in which it begins."""
+def _solved_tasks(tour: Tour) -> int:
+    return sum(step.plan.feasible for step in tour.steps)
+
+
+def expanded(requests: Sequence[Request]) -> list[Request]:
+    """Return requests without `bring`, which is to pick a thing up and to place it."""
+    tasks: list[Request] = []
+    for one in requests:
+        if one.verb == "bring":
+            refuse_place(one.verb, one.object, one.to)
+            tasks += [Request("pick", one.object, one.joint), one._replace(verb="place")]
+        else:
+            tasks.append(one)
+    return tasks
+
+
+def carried(requests: Sequence[Request]) -> list[int]:
+    """Return the indices of tasks that pick up what the next one places."""
+    return [
+        k
+        for k, (one, then) in enumerate(pairwise(requests))
+        if (one.verb, then.verb, one.object) == ("pick", "place", then.object)
+    ]
+
+
+@dataclass
+class Choices:
+    """What is chosen of the ways to move things, and the grasps that it leaves to the tasks."""
+
+    query: PlacementQuery
+    tried: Mapping[int, int]
+    """Number of ways that failed, by the index of the task that picks the thing up."""
+    kept: dict[int, GraspFilter] = field(default_factory=dict)
+    """The grasp of each task that picks up or places such a thing."""
+    count: dict[int, int] = field(default_factory=dict)
+    """Number of ways, by the index of the task that picks the thing up."""
+
+    def carry(self, k: int, scene: Scene, name: str, to: float | str | None) -> Scene:
+        """Choose how to move the thing that a task picks up; return the scene with it there."""
+        if to is not None:
+            refuse_place("place", name, to)
+        every = carries_for(self.query, scene, name, None if to is None else str(to))
+        carry = every[min(self.tried[k], len(every) - 1)]
+        there = scene if to is None else scene.with_pose(name, carry.T_world_goal)
+        self.count[k] = len(every)
+        for index, room in ((k, scene), (k + 1, there)):
+            self.kept[index] = carry.keeps(room, name, self.query.keep_grasps)
+        return there
+
+
+def scenes_of(
+    scene: Scene, requests: Sequence[Request], choices: Choices | None = None
+) -> list[tuple[Scene, Task]]:
+    """Return each task with the scene in which it begins, or in which it places something.
+
+    Args:
+        scene: The scene before the first task.
+        requests: The tasks, without `bring`.
+        choices: Chooses where things are put; None to leave them where they are.
+    """
     if not 1 <= len(requests) <= MAX_TASKS:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not {len(requests)}")
     scenes: list[tuple[Scene, Task]] = []
     last: dict[str, str] = {}
-    for verb, name, joint, to in requests:
+    placed: dict[int, Scene] = {}
+    for k, (verb, name, joint, to) in enumerate(requests):
+        if k in placed:
+            scene = placed[k]
         if joint is None and verb in _INVERSE:
             if last.get(name) == verb:
                 raise TaskError(
                     f"{verb} {name}: the tour has done that before; {_INVERSE[verb]} it in between"
                 )
             last[name] = verb
-        task = make_task(scene, verb, name, joint, to)
+        brought = verb == "place" and k > 0 and requests[k - 1][:2] == ("pick", name)
+        task = make_task(scene, verb, name, joint, None if brought else to)
         if task.farthest:
             raise TaskError(
                 f"{verb} {name}: the task after it needs to know how far; give a value, as 90deg"
@@ -141,6 +229,8 @@ def scenes_of(scene: Scene, requests: Sequence[Request]) -> list[tuple[Scene, Ta
         scenes.append((scene, task))
         if task.joint is not None and task.to is not None:
             scene = scene.with_joint(name, task.joint, task.to)
+        if choices is not None and k in choices.tried:
+            placed[k + 1] = choices.carry(k, scene, name, requests[k + 1].to)
     return scenes
 
 
@@ -153,8 +243,8 @@ def _assumed(requests: Sequence[Request]) -> tuple[str, ...]:
     ]
     in_hand = [
         f"{request.object} is in the hand when {request.verb} {request.object} begins"
-        for request in requests[1:]
-        if request.verb == "place"
+        for before, request in pairwise(requests)
+        if request.verb == "place" and before[:2] != ("pick", request.object)
     ]
     return (*hand_free, *in_hand)
 
@@ -185,6 +275,8 @@ class _Planner:
     """Time on that clock [s]."""
     scenes: list[tuple[Scene, Task]]
     requests: tuple[Request, ...]
+    kept: Mapping[int, GraspFilter] = field(default_factory=dict)
+    """The only grasps of some tasks."""
     _checks: dict[int, BasePoseChecks] = field(default_factory=dict)
     """Checks of base poses, by task."""
 
@@ -242,6 +334,8 @@ class _Planner:
         """
         tasks = len(self.scenes) - first
         for last in range(len(self.scenes) - 1, first - 1, -1):
+            if not self._within_one_reach(first, last):
+                continue
             left = max(self.deadline - self.clock(), 1e-3)
             share = 1.0 if last == first else SHARED_POSE_SHARE / tasks
             try:
@@ -261,6 +355,15 @@ class _Planner:
             for k in range(first + 1, last + 1):
                 visit.append(plan_at_pose(replace(self._query(k), start=base), base))
         return visit
+
+    def _within_one_reach(self, first: int, last: int) -> bool:
+        """Return whether one base pose may reach all that is picked up and placed."""
+        rigid = [k for k in range(first, last + 1) if self.scenes[k][1].joint is None]
+        if len(rigid) < 2:
+            return True
+        every = [reachable_rectangle(self._checks_of(k).prepared.geometry) for k in rigid]
+        boxes = np.array([box for box in every if box is not None])
+        return len(boxes) < len(every) or bool((boxes[:, 0].max(0) < boxes[:, 1].min(0)).all())
 
     def _from_one_pose(
         self, first: int, last: int, start: Float[np.ndarray, "3"] | None,
@@ -337,6 +440,7 @@ class _Planner:
         return replace(
             self.query, scene=scene, task=task, config=self._config(k), region=ANYWHERE,
             from_home=self.query.from_home or k > 0, watch=Stopwatch(self.clock),
+            keep_grasps=self.kept.get(k, self.query.keep_grasps),
         )  # fmt: skip
 
     def _config(self, k: int) -> PipelineConfig:

@@ -16,10 +16,11 @@ from contextlib import redirect_stdout, suppress
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "plan a base pose and the motion to open, close, pick or place an object",
+        "plan base poses and motions to open, close, pick, place or bring an object",
         {
             "open": "place:place_open", "close": "place:place_close",
             "pick": "place:place_pick", "place": "place:place_place",
+            "bring": "tour:place_bring",
         },
     ),
     "view": ("show a scene, a plan or a run on a web page; plan there", "view:view"),
@@ -69,6 +70,7 @@ EXAMPLES = """examples:
   momapos place open kitchen_small fridge/door_hinge --robot segway_ur5e --plot plan.png
   momapos place open kitchen.json cabinet/door_left --robot fetch --to 90deg --out plan.json
   momapos place open kitchen_small cabinet_right/drawer_top_slide then pick bottle --out tour.json
+  momapos place bring kitchen_small bottle --to table --out bring.json
   momapos verify plan.json
   momapos run plan.json --record film.png
   momapos rank kitchen_small fridge --plot graph.png

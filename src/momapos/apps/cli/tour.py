@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 from momapos.core import OutOfTimeError, TaskError, say, unknown_name
-from momapos.model.records import Verb
+from momapos.model.records import RequestVerb
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
 from .bounds import ended_by_interrupt, with_time_left, within_time
 from .loading import load_arms_with_maps
-from .options import EXIT_STATUS, SceneArg, Target, ValueArg, exit_status
+from .options import (
+    EXIT_STATUS,
+    ObjectArg,
+    PlaceArg,
+    SceneArg,
+    Target,
+    ValueArg,
+    exit_status,
+)
 from .parse import parse
 from .place import DEFAULT, Options, Shared, read_region, read_scene
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from momapos.model.records import PlacementPlan
     from momapos.model.scene import Scene
-    from momapos.planning import PipelineConfig, Request, Tour
+    from momapos.planning import PipelineConfig, PlacementResult, Request, Tour
 
 THEN = "then"
-VERBS = get_args(Verb)
+VERBS = get_args(RequestVerb)
 TIME_PER_PLAN = 0.1
 """Time in which a plan is timed and written after the search [s]; measured with five tasks."""
 USAGE = "write each further task as: then VERB OBJECT[/JOINT] [--to VALUE]"
@@ -89,7 +100,7 @@ def _check_verb(verb: str) -> None:
         raise unknown_name("verb", verb, VERBS, "momapos place")
 
 
-def _command(verb: Verb | str, further: list[tuple[str, str, str | None]]) -> Callable[..., int]:
+def _command(verb: str, further: list[tuple[str, str, str | None]]) -> Callable[..., int]:
     """Build the command of a first verb, for tyro."""
 
     def place_tour(
@@ -110,6 +121,25 @@ def _command(verb: Verb | str, further: list[tuple[str, str, str | None]]) -> Ca
         return _answer(scene, [(verb, target, to), *further], options)
 
     return place_tour
+
+
+def place_bring(
+    scene: SceneArg,
+    target: ObjectArg,
+    /,
+    *,
+    to: PlaceArg,
+    options: Shared = DEFAULT,
+) -> int:
+    """Pick up a rigid object, carry it and put it down, with one grasp.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        target: The object.
+        to: Where to: an object or a part of it as table or chest/drawer, a point as 1.2,0.4,0.75
+            or with a yaw as 1.2,0.4,0.75,90deg, or an area of the scene.
+    """
+    return _answer(scene, [("bring", target, to)], options)
 
 
 def _request(verb: str, target: str, to: str | None) -> Request:
@@ -136,13 +166,15 @@ def _check(options: Options, config: PipelineConfig) -> None:
 
 
 def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options) -> int:
+    from momapos.planning import expanded
+
     config = options.read_config()
     _check(options, config)
     start = None if options.start is None else parse_pose(options.start, "--start")
     requests = [_request(*task) for task in tasks]
     outs = []
     if options.out is not None:
-        plans = range(1, 1 + len(requests))
+        plans = range(1, 1 + len(expanded(requests)))
         outs = [
             options.out,
             *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
@@ -215,6 +247,8 @@ def _deliver(tour: Tour, options: Options) -> None:
             replace(step, plan=with_times(step.with_notes().plan, step.prepared.robot))
             for step in tour.steps
         ))  # fmt: skip
+    if options.out is not None:
+        tour = _with_files(tour, options.out)
     plans = [step.plan for step in tour.steps]
     if options.out is not None:
         write_tour(options.out, plans, tour.stops, tour.assumed, tour.status)
@@ -224,6 +258,27 @@ def _deliver(tour: Tour, options: Options) -> None:
         say(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
     else:
         say(_summary(tour, options))
+
+
+def _with_files(tour: Tour, out: Path) -> Tour:
+    """Write the scenes in which something has been moved, so that plans can name them."""
+    from momapos.model.scene import copied, save_scene
+
+    steps: list[PlacementResult] = []
+    files: dict[int, Path] = {}
+    for number, (step, scene) in enumerate(zip(tour.steps, tour.scenes, strict=False), 1):
+        if scene.path is None:
+            if id(scene) not in files:
+                file = files[id(scene)] = out.with_name(f"{out.stem}_room_{number}.json")
+                if file.is_file():  # of an earlier answer
+                    file.unlink()
+                    shutil.rmtree(file.with_name(f"{file.stem}_files"), ignore_errors=True)
+                with copied(scene, file) as own:
+                    save_scene(own, file)
+            plan = replace(step.plan, scene=str(files[id(scene)]), scene_joints={})
+            step = replace(step, plan=plan)
+        steps.append(step)
+    return replace(tour, steps=tuple(steps))
 
 
 def _summary(tour: Tour, options: Options) -> str:

@@ -1,4 +1,6 @@
+from .contents import link_named as link_named
 from .contents import resting_on as resting_on
+from .contents import top_of as top_of
 from .joint_resistance import MotionResistance as MotionResistance
 from .joint_resistance import assumes_springs as assumes_springs
 from .joint_resistance import known_resistance as known_resistance

@@ -32,6 +32,7 @@ _INWARD = 0.5
 """Place of these points between the middle and the corners of the base [-]."""
 _UPRIGHT = 1e-6
 """Upward component of a face's normal below which the face counts as upright [-]."""
+_WORLD_FRAME = np.eye(4)
 WORLD = ""
 """What a thing rests on that moves with nothing."""
 
@@ -125,14 +126,20 @@ def _carried(base: Float[np.ndarray, "k 3"], item: SceneObject, link: str) -> fl
         if not ((base >= low) & (base <= high)).all(1).any():
             continue
         for piece in item.model.pieces(link, index):
-            carried |= np.abs(_top(piece, T, base[:, :2]) - base[:, 2]) <= MAX_GAP
+            carried |= np.abs(top_of(piece, base[:, :2], T) - base[:, 2]) <= MAX_GAP
     return float(carried.mean())
 
 
-def _top(
-    hull: Hull, T: Float[np.ndarray, "4 4"], at: Float[np.ndarray, "k 2"]
+def top_of(
+    hull: Hull, at: Float[np.ndarray, "k 2"], T: Float[np.ndarray, "4 4"] = _WORLD_FRAME
 ) -> Float[np.ndarray, " k"]:
-    """Return the height of a hull above points of the floor; NaN beside it [m]."""
+    """Return the height of a hull above points of the floor; NaN beside it [m].
+
+    Args:
+        hull: The hull.
+        at: The points [m].
+        T: Pose of the hull's frame in the world; that itself by default.
+    """
     a, b, c = (apply(T, hull.vertices)[hull.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     size = np.linalg.norm(normals, axis=1)

@@ -177,6 +177,19 @@ class Scene:
             joints_set={**self.joints_set, name: {**self.joints_set.get(name, {}), joint: value}},
         )
 
+    def with_pose(self, name: str, T_world_object: Float[np.ndarray, "4 4"]) -> Scene:
+        """Return the scene with an object somewhere else.
+
+        It is not that of the file any more: `save_scene` writes it, so that plans can name it.
+
+        Raises:
+            UnknownNameError: There is no such object.
+        """
+        item = self.object(name)
+        moved = replace(item, T_world_object=T_world_object, on=None)
+        objects = tuple(moved if one is item else one for one in self.objects)
+        return replace(self, objects=objects, path=None, joints_set={})
+
     @owner_cache(MAX_VARIANTS)
     def with_contents(self, name: str, joint: str) -> Scene:
         """Return the scene with what moves with a joint as links of its object.

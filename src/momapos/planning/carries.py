@@ -1,0 +1,136 @@
+"""Choose one grasp, and where to put a thing, for picking it up, carrying it and placing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import TaskError
+from momapos.core.geometry import compose, invert, latin_hypercube
+from momapos.model.records import Task
+from momapos.model.scene import Scene
+from momapos.planning.arm_motion import payload_hits_at_home
+from momapos.planning.grasps import GraspFilter, TaskMotion
+from momapos.planning.placement import BaseStatus, base_pose_status, sampling_box, task_frame
+
+from .query import PlacementQuery
+from .spots import spots_for
+from .task_setup import PreparedTask, prepare
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+MAX_CHOICES = 8
+"""Number of grasps and spots that are tried for one thing [-]."""
+MAX_PER_SPOT = 3
+"""Number of them at one spot: others help more where several grasps fail [-]."""
+SAMPLES = 1024
+"""Base poses from which the reach of each grasp is counted [-]."""
+SAME_GRASP = 1e-3
+"""Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Carry:
+    """How a thing is moved: one grasp from where it stands to where it is put."""
+
+    T_world_goal: Float[np.ndarray, "4 4"]
+    """Pose of the thing at its goal."""
+    T_object_tool: Float[np.ndarray, "4 4"] | None
+    """The grasp; None if no grasp is free at both ends and with the arm at home."""
+
+    def keeps(self, scene: Scene, name: str, also: GraspFilter | None) -> GraspFilter:
+        """Return the filter that keeps only this grasp of an object, where it is in a scene."""
+        T_world_object = scene.object(name).T_world_object
+
+        def same(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+            if self.T_object_tool is None:
+                return np.zeros(len(motion.Ts_world_tool), bool)
+            away = np.abs(_grasps(motion, T_world_object) - self.T_object_tool).sum((1, 2))
+            kept = away < SAME_GRASP
+            return kept if also is None else kept & also(motion)
+
+        return same
+
+
+def carries_for(
+    query: PlacementQuery, scene: Scene, name: str, place: str | None
+) -> list[Carry]:
+    """Return how a thing can be moved to a place, in the order of trying.
+
+    Of the grasps that are free at both ends, and with the arm at home in between, those within reach from the most base poses come
+    first.
+
+    Args:
+        query: A question with robot, reach and configuration.
+        scene: The scene in which the thing is picked up.
+        name: The thing.
+        place: Where to, see `spots_for`; None for where it is.
+
+    Raises:
+        TaskError: The place has no room, or the hand cannot hold the thing.
+        UnknownNameError: There is no such place.
+    """
+    thing = scene.object(name)
+    goals = [thing.T_world_object]
+    if place is not None:
+        start = query.start if query.start is not None else scene.start
+        goals = spots_for(scene, thing, place, None if start is None else start[:2])
+    pick = _prepared(query, scene, Task("pick", name))
+    picks = _grasps(pick.motion, thing.T_world_object)
+    within = _reached(query, pick)
+    ranked: list[tuple[int, int, Carry]] = []
+    for number, T in enumerate(goals):
+        there = _prepared(query, scene.with_pose(name, T), Task("place", name))
+        if pick.no_grasp or there.no_grasp:
+            continue
+        away = np.abs(picks[:, None] - _grasps(there.motion, T)[None]).sum((2, 3))
+        away[:, payload_hits_at_home(query.robot, there.motion) >= 0] = np.inf
+        i, j = np.nonzero(away < SAME_GRASP)
+        count = np.minimum(within[i], _reached(query, there)[j])
+        best = np.argsort(-count, kind="stable")[:MAX_PER_SPOT]
+        ranked += [(-int(count[k]), number, Carry(T, picks[i[k]])) for k in best]
+    ranked.sort(key=lambda one: one[:2])
+    return [carry for _, _, carry in ranked[:MAX_CHOICES]] or [Carry(goals[0], None)]
+
+
+def _prepared(query: PlacementQuery, scene: Scene, task: Task) -> PreparedTask:
+    return prepare(
+        scene, query.robot, task, query.config, clearance=query.config.place.clearance,
+        keep_grasps=query.keep_grasps,
+    )  # fmt: skip
+
+
+def _grasps(
+    motion: TaskMotion, T_world_object: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "g 4 4"]:
+    """Return the tool poses of a motion's grasps in the object."""
+    return np.asarray(invert(T_world_object) @ motion.Ts_world_tool[:, motion.grasp_step])
+
+
+def _reached(query: PlacementQuery, prepared: PreparedTask) -> Int[np.ndarray, " g"]:
+    """Return from how many free base poses each grasp is within reach, of some samples."""
+    geometry = prepared.geometry
+    corners = sampling_box(geometry)
+    if corners is None:
+        return np.zeros(len(geometry.Ts_world_tool), np.int64)
+    unit = latin_hypercube(np.random.default_rng(query.seed), SAMPLES, 3)
+    low, high = np.append(corners[0], -np.pi), np.append(corners[1], np.pi)
+    poses = compose(task_frame(geometry), low + unit * (high - low))
+    poses = poses[base_pose_status(geometry, poses)[0] == BaseStatus.CLEAR]
+    return np.asarray((query.reach.min_score(poses, geometry.Ts_world_tool) > 0.0).sum(0))
+
+
+def refuse_place(verb: str, name: str, to: float | str | None) -> None:
+    """Refuse a place that is none.
+
+    Raises:
+        TaskError: There is none, or it is a number.
+    """
+    if not isinstance(to, str):
+        raise TaskError(
+            f"{verb} {name} needs a place: an object or a part of it, a point as 1.2,0.4,0.75, or "
+            "an area of the scene"
+        )
