@@ -10,6 +10,7 @@ import numpy as np
 from momapos.core import TaskError
 from momapos.core.geometry import compose, invert, latin_hypercube
 from momapos.model.records import Task
+from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import payload_hits_at_home
 from momapos.planning.grasps import GraspFilter, TaskMotion
@@ -28,6 +29,8 @@ MAX_PER_SPOT = 3
 """Number of them at one spot: others help more where several grasps fail [-]."""
 SAMPLES = 1024
 """Base poses from which the reach of each grasp is counted [-]."""
+UPRIGHT = 0.5
+"""Upward component of a slide's axis from which on it lifts the arm [-]."""
 SAME_GRASP = 1e-3
 """Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 
@@ -40,14 +43,23 @@ class Carry:
     """Pose of the thing at its goal."""
     T_object_tool: Float[np.ndarray, "4 4"] | None
     """The grasp; None if no grasp is free at both ends and with the arm at home."""
+    reached: int = 0
+    """From how many of some base poses the grasp is within reach at both ends, at least [-]."""
+    fails_alone: bool = False
+    """Whether the thing cannot be picked up or placed there with any grasp."""
 
-    def keeps(self, scene: Scene, name: str, also: GraspFilter | None) -> GraspFilter:
-        """Return the filter that keeps only this grasp of an object, where it is in a scene."""
-        T_world_object = scene.object(name).T_world_object
+    def keeps(self, scene: Scene, task: Task, also: GraspFilter | None) -> GraspFilter:
+        """Return the filter that keeps only this grasp for a task in a scene.
+
+        Without a grasp it keeps all of a task that fails anyway, for its reasons, and none of the
+        last one otherwise.
+        """
+        T_world_object = scene.object(task.object).T_world_object
 
         def same(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
             if self.T_object_tool is None:
-                return np.zeros(len(motion.Ts_world_tool), bool)
+                every = np.ones(len(motion.Ts_world_tool), bool)
+                return every if self.fails_alone or task.verb == "pick" else ~every
             away = np.abs(_grasps(motion, T_world_object) - self.T_object_tool).sum((1, 2))
             kept = away < SAME_GRASP
             return kept if also is None else kept & also(motion)
@@ -74,26 +86,42 @@ def carries_for(
         UnknownNameError: There is no such place.
     """
     thing = scene.object(name)
+    pick = _prepared(query, scene, Task("pick", name))
+    if pick.infeasible_reason:
+        return [Carry(thing.T_world_object, None, fails_alone=True)]
     goals = [thing.T_world_object]
     if place is not None:
         start = query.start if query.start is not None else scene.start
-        goals = spots_for(scene, thing, place, None if start is None else start[:2])
-    pick = _prepared(query, scene, Task("pick", name))
+        near = None if start is None else start[:2]
+        goals = spots_for(scene, thing, place, start=near, heights=_heights(query.robot))
     picks = _grasps(pick.motion, thing.T_world_object)
     within = _reached(query, pick)
-    ranked: list[tuple[int, int, Carry]] = []
-    for number, T in enumerate(goals):
+    ranked: list[Carry] = []
+    fails_alone = True
+    for T in goals:
         there = _prepared(query, scene.with_pose(name, T), Task("place", name))
-        if pick.no_grasp or there.no_grasp:
+        if there.infeasible_reason:
             continue
+        fails_alone = False
         away = np.abs(picks[:, None] - _grasps(there.motion, T)[None]).sum((2, 3))
         away[:, payload_hits_at_home(query.robot, there.motion) >= 0] = np.inf
         i, j = np.nonzero(away < SAME_GRASP)
         count = np.minimum(within[i], _reached(query, there)[j])
         best = np.argsort(-count, kind="stable")[:MAX_PER_SPOT]
-        ranked += [(-int(count[k]), number, Carry(T, picks[i[k]])) for k in best]
-    ranked.sort(key=lambda one: one[:2])
-    return [carry for _, _, carry in ranked[:MAX_CHOICES]] or [Carry(goals[0], None)]
+        ranked += [Carry(T, picks[i[k]], int(count[k])) for k in best]
+    ranked.sort(key=lambda one: -one.reached)
+    likely = [one for one in ranked[:MAX_CHOICES] if one.reached]
+    return likely or ranked[:1] or [Carry(goals[0], None, fails_alone=fails_alone)]
+
+
+def _heights(robot: Robot) -> tuple[float, float]:
+    """Return the heights that a robot's hand can reach [m]."""
+    chain = robot.chain
+    first = chain.first_turn
+    shoulder = float((chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first])[2])
+    up = np.abs(chain.h[:first, 2]) > UPRIGHT
+    reach = robot.reach + float(chain.half_travel[:first][up].sum())
+    return shoulder - reach, shoulder + reach
 
 
 def _prepared(query: PlacementQuery, scene: Scene, task: Task) -> PreparedTask:

@@ -35,11 +35,18 @@ _STEP = 0.03
 """Distance between the compared spots [m]."""
 _MAX_POINTS = 4000
 """Number of spots that are compared on one face, about [-]."""
+_LAST = 1e3
+"""Added to the distance of spots that come last [m]."""
 _CORNERS = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 
 
 def spots_for(
-    scene: Scene, thing: SceneObject, place: str, start: Float[np.ndarray, "2"] | None = None
+    scene: Scene,
+    thing: SceneObject,
+    place: str,
+    *,
+    start: Float[np.ndarray, "2"] | None = None,
+    heights: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[Float[np.ndarray, "4 4"]]:
     """Return poses of a thing at a place, in the order of trying them.
 
@@ -51,6 +58,7 @@ def spots_for(
         place: "x,y,z" or "x,y,z,yaw" for the middle of its base [m], [rad]; an object, or a part
             of it as "table" or "chest/drawer"; or an area of the scene, for its floor.
         start: Where the robot is [m]; nearer spots come first.
+        heights: Between which a hand reaches [m]; other spots come last.
 
     Raises:
         TaskError: The place is none of these, the thing itself, or has no room.
@@ -61,7 +69,7 @@ def spots_for(
         return [_at_point(thing, place)]
     name, _, part = place.partition("/")
     if name == thing.name:
-        raise TaskError(f"{name} cannot be put on itself; name another object, or a point as 1,2,0.75")
+        raise TaskError(f"{name} cannot be put on itself; name another object, or a point")
     names = {item.name for item in others.objects}
     if name in names:
         support = others.object(name)
@@ -69,7 +77,7 @@ def spots_for(
         yaw = math.atan2(support.T_world_object[1, 0], support.T_world_object[0, 0])
         half = _half(thing, yaw)
         found = np.concatenate([np.zeros((0, 3)), *(
-            _on_face(face, half, yaw) for face in _faces(support, links)
+            _on_face(face, half, yaw) for face in _faces(support, links, fine=bool(part))
         )])  # fmt: skip
     elif place in scene.areas:
         yaw, half = 0.0, _half(thing, 0.0)
@@ -84,6 +92,7 @@ def spots_for(
             f"{100 * ROOM:.0f} cm around it"
         )
     away = np.zeros(len(found)) if start is None else np.hypot(*(found[:, :2] - start).T)
+    away += _LAST * ((found[:, 2] < heights[0]) | (found[:, 2] > heights[1]))
     return [_moved_to(thing, found[k]) for k in _spread(found, away)]
 
 
@@ -91,7 +100,10 @@ def _at_point(thing: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
     parts = text.split(",")
     if len(parts) not in (3, 4):
         raise TaskError(f"{text!r} is not X,Y,Z or X,Y,Z,YAW; write it as 1.2,0.4,0.75")
-    x, y, z = (parse_quantity(one).length(f"{text!r}: {axis}") for one, axis in zip(parts, "XYZ", strict=False))
+    x, y, z = (
+        parse_quantity(one).length(f"{text!r}: {axis}")
+        for one, axis in zip(parts[:3], "XYZ", strict=True)
+    )
     T = _moved_to(thing, np.array([x, y, z]))
     if len(parts) == 3:
         return T
@@ -111,12 +123,12 @@ def _moved_to(thing: SceneObject, at: Float[np.ndarray, "3"]) -> Float[np.ndarra
     return T
 
 
-def _faces(support: SceneObject, links: Sequence[str]) -> Iterator[Hull]:
-    """Yield the convex pieces of links, in the world."""
+def _faces(support: SceneObject, links: Sequence[str], *, fine: bool) -> Iterator[Hull]:
+    """Yield the convex pieces of links in the world; finer ones take seconds at first."""
     for link in links:
         T = support.link_poses()[link]
-        for index in range(len(support.model.hulls[link])):
-            for one in support.model.pieces(link, index):
+        for index, element in enumerate(support.model.static_elements[link]):
+            for one in support.model.pieces(link, index) if fine else element.hulls:
                 yield replace(one, vertices=apply(T, one.vertices))
 
 

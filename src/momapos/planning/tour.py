@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,8 +30,9 @@ from momapos.planning.placement import (
 )
 
 from .base_pose_check import BasePoseChecks, plan_at_pose
-from .carries import carries_for, refuse_place
+from .carries import MAX_CHOICES, carries_for, refuse_place
 from .config import PipelineConfig
+from .max_opening import by_samples
 from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
 from .plan import plan_placement
 from .query import PlacementQuery
@@ -45,6 +46,9 @@ MAX_TASKS = 20
 """Maximum number of tasks in a tour [-]."""
 _INVERSE = {"pick": "place", "place": "pick"}
 """Verb that must precede the repetition of a verb for the same movable object."""
+MAX_THOROUGH = 2
+"""Number of tours whose base poses are searched on a grid, of those that move things in other ways;
+samples find one that works sooner [-]."""
 SHARED_POSE_SHARE = 0.5
 """Share of the remaining time per task for the search of a base pose that serves several tasks;
 the rest is for each task alone [-]."""
@@ -115,35 +119,54 @@ def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     clock = query.watch.clock
     began = clock()
     requests = expanded(requests)
-    tried = dict.fromkeys(carried(requests), 0)
+    picks = carried(requests)
     best: Tour | None = None
+    passes = [(query.config, MAX_THOROUGH)]
+    if picks:
+        passes.insert(0, (by_samples(query.config), MAX_CHOICES))
+    for config, most in passes:
+        for tour in islice(_tours(replace(query, config=config), requests, picks, began), most):
+            best = tour if best is None or _solved_tasks(tour) >= _solved_tasks(best) else best
+        if best is not None and best.steps[-1].plan.status != "infeasible":
+            break
+    if best is None:
+        raise OutOfTimeError
+    return replace(best, seconds=clock() - began)
+
+
+def _tours(
+    query: PlacementQuery, requests: Sequence[Request], picks: Sequence[int], began: float
+) -> Iterator[Tour]:
+    """Yield tours, with other ways to move the thing at which the one before fails.
+
+    Args:
+        query: See `plan_requests`.
+        requests: The tasks, without `bring`.
+        picks: Indices of tasks that pick up what the next one places.
+        began: Time on the query's clock at which the answer began [s].
+    """
+    clock, tried = query.watch.clock, dict.fromkeys(picks, 0)
     while True:
         choices = Choices(query, tried)
         scenes = scenes_of(query.scene, requests, choices)
         planner = _Planner(
             query, clock, began + query.config.timeout, scenes, tuple(requests), choices.kept
         )
-        try:
-            visits = planner.stops(0, query.start)
-        except OutOfTimeError:
-            if best is None:
-                raise
-            break
+        visits = planner.stops(0, query.start)
         steps = [step for visit in visits for step in visit]
         stops = [k for k, visit in enumerate(visits, 1) for _ in visit]
         unanswered = len(requests) - len(steps) if steps[-1].plan.feasible else 0
         rooms = tuple(room for room, _ in scenes[: len(steps)])
-        tour = Tour(
+        yield Tour(
             tuple(steps), tuple(stops), _assumed(requests), clock() - began, unanswered, rooms
         )
-        best = tour if best is None or _solved_tasks(tour) > _solved_tasks(best) else best
         failed = len(steps) - 1
         pick = failed if failed in tried else failed - 1
-        more = pick in tried and tried[pick] + 1 < choices.count[pick]
-        if steps[-1].plan.status != "infeasible" or not more or clock() > planner.deadline:
-            break
+        if steps[-1].plan.status != "infeasible" or pick not in tried:
+            return
         tried[pick] += 1
-    return replace(best, seconds=clock() - began)
+        if tried[pick] == choices.count[pick] or clock() > planner.deadline:
+            return
 
 
 def _solved_tasks(tour: Tour) -> int:
@@ -191,8 +214,9 @@ class Choices:
         carry = every[min(self.tried[k], len(every) - 1)]
         there = scene if to is None else scene.with_pose(name, carry.T_world_goal)
         self.count[k] = len(every)
-        for index, room in ((k, scene), (k + 1, there)):
-            self.kept[index] = carry.keeps(room, name, self.query.keep_grasps)
+        for index, verb, room in ((k, "pick", scene), (k + 1, "place", there)):
+            task = Task(verb, name)
+            self.kept[index] = carry.keeps(room, task, self.query.keep_grasps)
         return there
 
 

@@ -248,7 +248,7 @@ def _deliver(tour: Tour, options: Options) -> None:
             for step in tour.steps
         ))  # fmt: skip
     if options.out is not None:
-        tour = _with_files(tour, options.out)
+        tour = with_files(tour, options.out)
     plans = [step.plan for step in tour.steps]
     if options.out is not None:
         write_tour(options.out, plans, tour.stops, tour.assumed, tour.status)
@@ -260,7 +260,7 @@ def _deliver(tour: Tour, options: Options) -> None:
         say(_summary(tour, options))
 
 
-def _with_files(tour: Tour, out: Path) -> Tour:
+def with_files(tour: Tour, out: Path) -> Tour:
     """Write the scenes in which something has been moved, so that plans can name them."""
     from momapos.model.scene import copied, save_scene
 

@@ -1,0 +1,156 @@
+"""Bring drawn things to drawn places in seven kitchens, check the plans, and execute them.
+
+    python benchmarks/bring.py [--count 100] [--seed 0] [--robots fetch ...] [--run] [--out FILE]
+
+A thing is a rigid object of at most 30 cm; a place is any other object on which it has a free spot.
+Only errands are drawn for which the robot reaches some grasp at both ends from somewhere. All plans
+are verified from their files. With --run each is executed in physics. Prints a table and what was
+not done.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from momapos.apps.cli.tour import with_files
+from momapos.core import MomaposError
+from momapos.model.plan_files import write_plan
+from momapos.model.records import Task
+from momapos.model.scene import builtin_names
+from momapos.planning import PipelineConfig, PlacementQuery, Request, Tour, plan_tour
+from momapos.planning.carries import carries_for
+from momapos.simulation import run_exactly
+from momapos.verification import verify_files
+from placement import SCENES, arm, scene_of
+
+MAX_EDGE = 0.3
+"""Largest edge of a thing [m]."""
+ROBOTS = ("fetch", "segway_ur5e", "mobile_panda", "tiago")
+CONFIG = PipelineConfig(timeout=60.0)
+Errand = tuple[str, str, str, str]
+"""Robot, scene, thing and place."""
+
+
+@cache
+def errands_of(robot: str, name: str) -> list[Errand]:
+    """Return the errands in a scene for which the hand has a grasp in reach at both ends."""
+    scene, (machine, reach) = scene_of(name), arm(robot)
+    found: list[Errand] = []
+    for thing in scene.objects:
+        if thing.model.joints or thing.wall or np.ptp(thing.bounds, axis=0).max() > MAX_EDGE:
+            continue
+        for place in scene.objects:
+            if place is thing or place.wall:
+                continue
+            try:
+                query = PlacementQuery.of(
+                    scene, machine, Task("pick", thing.name), reach, config=CONFIG
+                )
+                ways = carries_for(query, scene, thing.name, place.name)
+            except MomaposError:  # no room there, or nothing that the hand holds
+                continue
+            if ways[0].reached:
+                found.append((robot, name, thing.name, place.name))
+    return found
+
+
+def drawn(robots: Sequence[str], count: int, seed: int) -> list[Errand]:
+    """Draw errands, evenly over robots and scenes."""
+    rng = np.random.default_rng(seed)
+    every = [errands_of(robot, name) for robot in robots for name in (*builtin_names(), *SCENES)]
+    every = [errands for errands in every if errands]
+    return [
+        (some := every[k % len(every)])[int(rng.integers(len(some)))] for k in range(count)
+    ]
+
+
+def answer(errand: Errand, *, run: bool) -> dict[str, Any]:
+    """Plan an errand; check its files, and execute them."""
+    name, place_scene, thing, place = errand
+    scene, (robot, reach) = scene_of(place_scene), arm(name)
+    row: dict[str, Any] = {"errand": errand}
+    began = time.process_time()
+    try:
+        tour = plan_tour(scene, robot, [Request("bring", thing, None, place)], reach, config=CONFIG)
+    except MomaposError as error:
+        return row | {"status": "refused", "why": str(error), "seconds": time.process_time() - began}
+    row |= {"status": tour.status, "seconds": time.process_time() - began}
+    if tour.status != "solved":
+        last = tour.steps[-1].plan
+        row["why"] = f"{last.task.verb}: {dict(list(last.candidates.rejections.items())[:3])}"
+        return row
+    row |= {"stops": max(tour.stops), "driving": tour.driving}
+    with tempfile.TemporaryDirectory() as folder:
+        return row | check(tour, Path(folder), run=run)
+
+
+def check(tour: Tour, folder: Path, *, run: bool) -> dict[str, Any]:
+    """Verify the plans of a tour from their files, and execute each in physics."""
+    tour = with_files(tour, folder / "tour.json")
+    found: dict[str, Any] = {"valid": True, "done": True}
+    for k, (step, room) in enumerate(zip(tour.steps, tour.scenes, strict=True)):
+        write_plan(step.plan, folder / f"{k}.json")
+        found["valid"] &= verify_files(folder / f"{k}.json").valid
+        if run:
+            done = run_exactly(step.plan, room, step.prepared.robot).execution
+            if done is None or not done.success:
+                found |= {"done": False, "failed": "" if done is None else done.reason}
+    return found
+
+
+def report(rows: Sequence[dict[str, Any]]) -> str:
+    """Summarize as Markdown by robot, then list what was not done."""
+    lines = [
+        "| robot | errands | solved | valid | done | stops 1 / 2 | median | 95th percentile |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name in [*dict.fromkeys(row["errand"][0] for row in rows), "all"]:
+        some = [row for row in rows if name in ("all", row["errand"][0])]
+        done = [row for row in some if row["status"] == "solved"]
+        seconds = np.array([row["seconds"] for row in done] or [np.nan])
+        stops = [sum(row["stops"] == k for row in done) for k in (1, 2)]
+        valid, executed = (sum(row[key] for row in done) for key in ("valid", "done"))
+        lines.append(
+            f"| {name} | {len(some)} | {len(done)} | {valid} | {executed} | {stops[0]} / {stops[1]} | "
+            f"{np.median(seconds):.2f} s | {np.percentile(seconds, 95):.2f} s |"
+        )
+    lines += [
+        f"- {' '.join(row['errand'])}: {row['status']} after {row['seconds']:.1f} s, {row['why']}"
+        for row in rows if row["status"] != "solved"
+    ]  # fmt: skip
+    lines += [
+        f"- {' '.join(row['errand'])}: {row['failed']}" for row in rows if "failed" in row
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Answer the errands and print the report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
+    parser.add_argument("--run", action="store_true")
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    rows = []
+    for errand in drawn(args.robots, args.count, args.seed):
+        rows.append(answer(errand, run=args.run))
+        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+    if args.out is not None:
+        args.out.write_text("\n".join(json.dumps(row) for row in rows) + "\n")
+    print(report(rows))
+
+
+if __name__ == "__main__":
+    main()
