@@ -1,8 +1,8 @@
-"""Bring drawn things to drawn places in seven kitchens, check the plans, and execute them.
+"""Bring drawn items to drawn places in seven kitchens, check the plans, and execute them.
 
     python benchmarks/bring.py [--count 100] [--seed 0] [--robots fetch ...] [--run] [--out FILE]
 
-A thing is a rigid object of at most 30 cm; a place is any other object on which it has a free spot.
+An item is a rigid object of at most 30 cm; a place is any other object on which it has a free spot.
 Only errands are drawn for which the robot reaches some grasp at both ends from somewhere. All plans
 are verified from their files. With --run each is executed in physics. Prints a table and what was
 not done.
@@ -34,11 +34,11 @@ from momapos.verification import verify_files
 from placement import SCENES, arm, scene_of
 
 MAX_EDGE = 0.3
-"""Largest edge of a thing [m]."""
+"""Largest edge of an item [m]."""
 ROBOTS = ("fetch", "segway_ur5e", "mobile_panda", "tiago")
 CONFIG = PipelineConfig(timeout=60.0)
 Errand = tuple[str, str, str, str]
-"""Robot, scene, thing and place."""
+"""Robot, scene, item and place."""
 
 
 @cache
@@ -46,21 +46,21 @@ def errands_of(robot: str, name: str) -> list[Errand]:
     """Return the errands in a scene for which the hand has a grasp in reach at both ends."""
     scene, (machine, reach) = scene_of(name), arm(robot)
     found: list[Errand] = []
-    for thing in scene.objects:
-        if thing.model.joints or thing.wall or np.ptp(thing.bounds, axis=0).max() > MAX_EDGE:
+    for item in scene.objects:
+        if item.model.joints or item.wall or np.ptp(item.bounds, axis=0).max() > MAX_EDGE:
             continue
         for place in scene.objects:
-            if place is thing or place.wall:
+            if place is item or place.wall:
                 continue
             try:
                 query = PlacementQuery.of(
-                    scene, machine, Task("pick", thing.name), reach, config=CONFIG
+                    scene, machine, Task("pick", item.name), reach, config=CONFIG
                 )
-                ways = carries_for(query, scene, thing.name, place.name)
+                ways = carries_for(query, scene, item.name, place.name)
             except MomaposError:  # no room there, or nothing that the hand holds
                 continue
             if ways[0].reached:
-                found.append((robot, name, thing.name, place.name))
+                found.append((robot, name, item.name, place.name))
     return found
 
 
@@ -69,21 +69,23 @@ def drawn(robots: Sequence[str], count: int, seed: int) -> list[Errand]:
     rng = np.random.default_rng(seed)
     every = [errands_of(robot, name) for robot in robots for name in (*builtin_names(), *SCENES)]
     every = [errands for errands in every if errands]
-    return [
-        (some := every[k % len(every)])[int(rng.integers(len(some)))] for k in range(count)
-    ]
+    return [(some := every[k % len(every)])[int(rng.integers(len(some)))] for k in range(count)]
 
 
 def answer(errand: Errand, *, run: bool) -> dict[str, Any]:
     """Plan an errand; check its files, and execute them."""
-    name, place_scene, thing, place = errand
+    name, place_scene, item, place = errand
     scene, (robot, reach) = scene_of(place_scene), arm(name)
     row: dict[str, Any] = {"errand": errand}
     began = time.process_time()
     try:
-        tour = plan_tour(scene, robot, [Request("bring", thing, None, place)], reach, config=CONFIG)
+        tour = plan_tour(scene, robot, [Request("bring", item, None, place)], reach, config=CONFIG)
     except MomaposError as error:
-        return row | {"status": "refused", "why": str(error), "seconds": time.process_time() - began}
+        return row | {
+            "status": "refused",
+            "why": str(error),
+            "seconds": time.process_time() - began,
+        }
     row |= {"status": tour.status, "seconds": time.process_time() - began}
     if tour.status != "solved":
         last = tour.steps[-1].plan
@@ -121,16 +123,15 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         stops = [sum(row["stops"] == k for row in done) for k in (1, 2)]
         valid, executed = (sum(row[key] for row in done) for key in ("valid", "done"))
         lines.append(
-            f"| {name} | {len(some)} | {len(done)} | {valid} | {executed} | {stops[0]} / {stops[1]} | "
-            f"{np.median(seconds):.2f} s | {np.percentile(seconds, 95):.2f} s |"
+            f"| {name} | {len(some)} | {len(done)} | {valid} | {executed} | "
+            f"{stops[0]} / {stops[1]} | {np.median(seconds):.2f} s | "
+            f"{np.percentile(seconds, 95):.2f} s |"
         )
     lines += [
         f"- {' '.join(row['errand'])}: {row['status']} after {row['seconds']:.1f} s, {row['why']}"
         for row in rows if row["status"] != "solved"
     ]  # fmt: skip
-    lines += [
-        f"- {' '.join(row['errand'])}: {row['failed']}" for row in rows if "failed" in row
-    ]
+    lines += [f"- {' '.join(row['errand'])}: {row['failed']}" for row in rows if "failed" in row]
     return "\n".join(lines)
 
 

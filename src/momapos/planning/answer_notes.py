@@ -30,8 +30,8 @@ MIN_LEVER = 1e-3
 """Travel of the hand per unit of a joint below which its pull does not grow [m/rad]."""
 ASSUMED, MARGIN = ResistanceConfig(), GraspConfig().grasp_margin
 MAX_TILT = 10.0
-"""Tilt of a part from which on what rests on it counts as falling: a bottle of 25 x 7 cm tips over at
-16 degrees, and things slide on smooth shelves from about 11 [deg]."""
+"""Tilt of a part from which on what rests on it counts as falling: a bottle of 25 x 7 cm tips over
+at 16 degrees, and objects slide on smooth shelves from about 11 [deg]."""
 TILTED_VALUES = 19
 """Joint values at which that is looked at [-]."""
 LOOK_AHEAD = 10

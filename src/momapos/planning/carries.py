@@ -1,15 +1,15 @@
-"""Choose one grasp, and where to put a thing, for picking it up, carrying it and placing it."""
+"""Choose one grasp, and where to put an item, for picking it up, carrying it and placing it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import TaskError
 from momapos.core.geometry import compose, invert, latin_hypercube
-from momapos.model.records import Task
+from momapos.model.records import PlacementPlan, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import payload_hits_at_home
@@ -24,9 +24,11 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 MAX_CHOICES = 8
-"""Number of grasps and spots that are tried for one thing [-]."""
-MAX_PER_SPOT = 3
-"""Number of them at one spot: others help more where several grasps fail [-]."""
+"""Number of ways that are tried for one item [-]."""
+TOGETHER = 4
+"""Number of spots at which all grasps are tried together: that of the pick is then kept [-]."""
+ALONE = 3
+"""Number of grasps that are tried alone at one spot [-]."""
 SAMPLES = 1024
 """Base poses from which the reach of each grasp is counted [-]."""
 UPRIGHT = 0.5
@@ -37,81 +39,102 @@ SAME_GRASP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Carry:
-    """How a thing is moved: one grasp from where it stands to where it is put."""
+    """How an item is moved: in one of some grasps, from where it stands to where it is put."""
 
     T_world_goal: Float[np.ndarray, "4 4"]
-    """Pose of the thing at its goal."""
-    T_object_tool: Float[np.ndarray, "4 4"] | None
-    """The grasp; None if no grasp is free at both ends and with the arm at home."""
+    """Pose of the item at its goal."""
+    Ts_object_tool: Float[np.ndarray, "g 4 4"]
+    """The grasps that are free at both ends and with the arm at home in between."""
     reached: int = 0
-    """From how many of some base poses the grasp is within reach at both ends, at least [-]."""
+    """From how many of some base poses a grasp is within reach at both ends, at least [-]."""
     fails_alone: bool = False
-    """Whether the thing cannot be picked up or placed there with any grasp."""
+    """Whether the item cannot be picked up or placed there with any grasp."""
 
     def keeps(self, scene: Scene, task: Task, also: GraspFilter | None) -> GraspFilter:
-        """Return the filter that keeps only this grasp for a task in a scene.
+        """Return the filter that keeps only these grasps for a task in a scene.
 
-        Without a grasp it keeps all of a task that fails anyway, for its reasons, and none of the
+        Without any it keeps all of a task that fails anyway, for its reasons, and none of the
         last one otherwise.
         """
         T_world_object = scene.object(task.object).T_world_object
 
         def same(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
-            if self.T_object_tool is None:
-                every = np.ones(len(motion.Ts_world_tool), bool)
-                return every if self.fails_alone or task.verb == "pick" else ~every
-            away = np.abs(_grasps(motion, T_world_object) - self.T_object_tool).sum((1, 2))
-            kept = away < SAME_GRASP
-            return kept if also is None else kept & also(motion)
+            grasps = _grasps(motion, T_world_object)
+            if not len(self.Ts_object_tool):
+                return np.full(len(grasps), self.fails_alone or task.verb == "pick")
+            kept = _same(grasps, self.Ts_object_tool).any(1)
+            return np.asarray(kept if also is None else kept & also(motion))
 
         return same
 
+    def holding(self, scene: Scene, plan: PlacementPlan) -> Carry:
+        """Return the same with only the grasp of a plan that picks the item up in a scene."""
+        assert plan.motion is not None
+        T_world_object = scene.object(plan.task.object).T_world_object
+        grasp = invert(T_world_object) @ plan.motion.Ts_world_tool[:1]
+        return replace(self, Ts_object_tool=grasp)
 
-def carries_for(
-    query: PlacementQuery, scene: Scene, name: str, place: str | None
-) -> list[Carry]:
-    """Return how a thing can be moved to a place, in the order of trying.
 
-    Of the grasps that are free at both ends, and with the arm at home in between, those within reach from the most base poses come
+def carries_for(query: PlacementQuery, scene: Scene, name: str, place: str | None) -> list[Carry]:
+    """Return how an item can be moved to a place, in the order of trying.
+
+    First the search picks the item up in any grasp that is free at both ends and with the arm at
+    home, and keeps it. Then grasps are tried alone, those within reach from the most base poses
     first.
 
     Args:
         query: A question with robot, reach and configuration.
-        scene: The scene in which the thing is picked up.
-        name: The thing.
+        scene: The scene in which the item is picked up.
+        name: The item.
         place: Where to, see `spots_for`; None for where it is.
 
     Raises:
-        TaskError: The place has no room, or the hand cannot hold the thing.
+        TaskError: The place has no room, or the hand cannot hold the item.
         UnknownNameError: There is no such place.
     """
-    thing = scene.object(name)
+    item = scene.object(name)
     pick = _prepared(query, scene, Task("pick", name))
     if pick.infeasible_reason:
-        return [Carry(thing.T_world_object, None, fails_alone=True)]
-    goals = [thing.T_world_object]
+        return [Carry(item.T_world_object, np.zeros((0, 4, 4)), fails_alone=True)]
+    goals = [item.T_world_object]
     if place is not None:
         start = query.start if query.start is not None else scene.start
         near = None if start is None else start[:2]
-        goals = spots_for(scene, thing, place, start=near, heights=_heights(query.robot))
-    picks = _grasps(pick.motion, thing.T_world_object)
+        goals = spots_for(scene, item, place, start=near, heights=_heights(query.robot))
+    picks = _grasps(pick.motion, item.T_world_object)
     within = _reached(query, pick)
-    ranked: list[Carry] = []
+    together, alone = list[Carry](), list[Carry]()
     fails_alone = True
     for T in goals:
         there = _prepared(query, scene.with_pose(name, T), Task("place", name))
         if there.infeasible_reason:
             continue
         fails_alone = False
-        away = np.abs(picks[:, None] - _grasps(there.motion, T)[None]).sum((2, 3))
-        away[:, payload_hits_at_home(query.robot, there.motion) >= 0] = np.inf
-        i, j = np.nonzero(away < SAME_GRASP)
-        count = np.minimum(within[i], _reached(query, there)[j])
-        best = np.argsort(-count, kind="stable")[:MAX_PER_SPOT]
-        ranked += [Carry(T, picks[i[k]], int(count[k])) for k in best]
-    ranked.sort(key=lambda one: -one.reached)
-    likely = [one for one in ranked[:MAX_CHOICES] if one.reached]
-    return likely or ranked[:1] or [Carry(goals[0], None, fails_alone=fails_alone)]
+        same = _same(picks, _grasps(there.motion, T))
+        same[:, payload_hits_at_home(query.robot, there.motion) >= 0] = False
+        i, j = np.nonzero(same)
+        if len(i):
+            count = np.minimum(within[i], _reached(query, there)[j])
+            i, count = (rows[np.argsort(-count, kind="stable")] for rows in (i, count))
+            together.append(Carry(T, picks[i], int(count[0])))
+            alone += [
+                Carry(T, picks[i[k : k + 1]], int(count[k])) for k in range(min(len(i), ALONE))
+            ]
+    ranked = [*sorted(together, key=_unreached)[:TOGETHER], *sorted(alone, key=_unreached)]
+    nothing = Carry(goals[0], np.zeros((0, 4, 4)), fails_alone=fails_alone)
+    likely = [one for one in ranked if one.reached]
+    return likely[:MAX_CHOICES] or ranked[:1] or [nothing]
+
+
+def _unreached(carry: Carry) -> int:
+    return -carry.reached
+
+
+def _same(
+    Ts: Float[np.ndarray, "g 4 4"], others: Float[np.ndarray, "h 4 4"]
+) -> Bool[np.ndarray, "g h"]:
+    """Return which of some grasps are which of others."""
+    return np.asarray(np.abs(Ts[:, None] - others[None]).sum((2, 3)) < SAME_GRASP)
 
 
 def _heights(robot: Robot) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Find where a thing can be put: at a point, on an object or a part of it, or in an area.
+"""Find where an item can be put: at a point, on an object or a part of it, or in an area.
 
 A spot is on one upward face that carries the whole base, with room around and above it.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from momapos.core import TaskError, parse_quantity, unknown_name
 from momapos.core.geometry import apply, contains, pose_planar, rotation
-from momapos.model.scene import Scene, SceneObject, link_named, top_of
+from momapos.model.scene import Scene, SceneObject, link_named, pieces_of, top_of
 from momapos.model.urdf import Boxes, Hull
 from momapos.planning.grasps import LIFT_HEIGHT, scene_boxes
 
@@ -26,11 +26,11 @@ MAX_SPOTS = 6
 MIN_DISTANCE = 0.2
 """Distance between proposed spots, about twice a hand's width [m]."""
 ROOM = 0.03
-"""Free room around a thing, for fingers and inexact placing [m]."""
+"""Free room around an item, for fingers and inexact placing [m]."""
 EDGE = 0.02
 """Distance of the base from the edge of the face that carries it [m]."""
 FLAT = 2e-3
-"""Largest difference in height below a thing's base [m]."""
+"""Largest difference in height below an item's base [m]."""
 _STEP = 0.03
 """Distance between the compared spots [m]."""
 _MAX_POINTS = 4000
@@ -42,61 +42,61 @@ _CORNERS = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)]
 
 def spots_for(
     scene: Scene,
-    thing: SceneObject,
+    item: SceneObject,
     place: str,
     *,
     start: Float[np.ndarray, "2"] | None = None,
     heights: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[Float[np.ndarray, "4 4"]]:
-    """Return poses of a thing at a place, in the order of trying them.
+    """Return poses of an item at a place, in the order of trying them.
 
-    The thing stays as upright as it is; at a point it may turn.
+    The item stays as upright as it is; at a point it may turn.
 
     Args:
         scene: The scene.
-        thing: The thing, which is one of its objects.
+        item: The item, which is one of its objects.
         place: "x,y,z" or "x,y,z,yaw" for the middle of its base [m], [rad]; an object, or a part
             of it as "table" or "chest/drawer"; or an area of the scene, for its floor.
         start: Where the robot is [m]; nearer spots come first.
         heights: Between which a hand reaches [m]; other spots come last.
 
     Raises:
-        TaskError: The place is none of these, the thing itself, or has no room.
+        TaskError: The place is none of these, the item itself, or has no room.
         UnknownNameError: There is no such object, part or area.
     """
-    others = scene.without(thing.name)
+    others = scene.without(item.name)
     if "," in place:
-        return [_at_point(thing, place)]
+        return [_at_point(item, place)]
     name, _, part = place.partition("/")
-    if name == thing.name:
+    if name == item.name:
         raise TaskError(f"{name} cannot be put on itself; name another object, or a point")
     names = {item.name for item in others.objects}
     if name in names:
         support = others.object(name)
         links = [link_named(support, part)] if part else list(support.model.links)
         yaw = math.atan2(support.T_world_object[1, 0], support.T_world_object[0, 0])
-        half = _half(thing, yaw)
+        half = _half(item, yaw)
         found = np.concatenate([np.zeros((0, 3)), *(
             _on_face(face, half, yaw) for face in _faces(support, links, fine=bool(part))
         )])  # fmt: skip
     elif place in scene.areas:
-        yaw, half = 0.0, _half(thing, 0.0)
+        yaw, half = 0.0, _half(item, 0.0)
         found = _on_floor(np.array(scene.areas[place]), half)
     else:
         raise unknown_name("place", place, [*sorted(names), *scene.areas], f"scene {scene.name}")
     found = found[_is_free(found, half, scene_boxes(others), yaw)]
     if not len(found):
         raise TaskError(
-            f"{place} has no room for {thing.name}, which needs a flat face of "
+            f"{place} has no room for {item.name}, which needs a flat face of "
             f"{' x '.join(f'{100 * edge:.0f}' for edge in 2 * half[:2])} cm and "
             f"{100 * ROOM:.0f} cm around it"
         )
     away = np.zeros(len(found)) if start is None else np.hypot(*(found[:, :2] - start).T)
     away += _LAST * ((found[:, 2] < heights[0]) | (found[:, 2] > heights[1]))
-    return [_moved_to(thing, found[k]) for k in _spread(found, away)]
+    return [_moved_to(item, found[k]) for k in _spread(found, away)]
 
 
-def _at_point(thing: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
+def _at_point(item: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
     parts = text.split(",")
     if len(parts) not in (3, 4):
         raise TaskError(f"{text!r} is not X,Y,Z or X,Y,Z,YAW; write it as 1.2,0.4,0.75")
@@ -104,7 +104,7 @@ def _at_point(thing: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
         parse_quantity(one).length(f"{text!r}: {axis}")
         for one, axis in zip(parts[:3], "XYZ", strict=True)
     )
-    T = _moved_to(thing, np.array([x, y, z]))
+    T = _moved_to(item, np.array([x, y, z]))
     if len(parts) == 3:
         return T
     yaw = parse_quantity(parts[3]).angle(f"{text!r}: YAW")
@@ -114,11 +114,11 @@ def _at_point(thing: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
     return turn @ back @ T
 
 
-def _moved_to(thing: SceneObject, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a thing with the middle of its base at a point [m]."""
-    low, high = thing.bounds
+def _moved_to(item: SceneObject, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of an item with the middle of its base at a point [m]."""
+    low, high = item.bounds
     base = np.array([*(low[:2] + high[:2]) / 2, low[2]])
-    T = thing.T_world_object.copy()
+    T = item.T_world_object.copy()
     T[:3, 3] += at - base
     return T
 
@@ -128,25 +128,23 @@ def _faces(support: SceneObject, links: Sequence[str], *, fine: bool) -> Iterato
     for link in links:
         T = support.link_poses()[link]
         for index, element in enumerate(support.model.static_elements[link]):
-            for one in support.model.pieces(link, index) if fine else element.hulls:
+            for one in pieces_of(support.model, link, index) if fine else element.hulls:
                 yield replace(one, vertices=apply(T, one.vertices))
 
 
-def _half(thing: SceneObject, yaw: float) -> Float[np.ndarray, "3"]:
-    """Return half the extents of a thing in a frame that is turned about z [m]."""
-    local = thing.vertices.copy()
+def _half(item: SceneObject, yaw: float) -> Float[np.ndarray, "3"]:
+    """Return half the extents of an item in a frame that is turned about z [m]."""
+    local = item.vertices.copy()
     local[:, :2] = local[:, :2] @ rotation(yaw)
     return np.asarray(np.ptp(local, axis=0) / 2)
 
 
-def _on_face(
-    face: Hull, half: Float[np.ndarray, "3"], yaw: float
-) -> Float[np.ndarray, "n 3"]:
+def _on_face(face: Hull, half: Float[np.ndarray, "3"], yaw: float) -> Float[np.ndarray, "n 3"]:
     """Return where a base of half a size [m] lies on the upward side of a convex body [m].
 
     Args:
         face: The body, in the world.
-        half: Half the extents of the thing in a frame turned about z [m].
+        half: Half the extents of the item in a frame turned about z [m].
         yaw: Direction of that frame [rad].
     """
     R = rotation(yaw)
@@ -196,7 +194,7 @@ def _boxes_in(
 def _is_free(
     spots: Float[np.ndarray, "n 3"], half: Float[np.ndarray, "3"], obstacles: Boxes, yaw: float
 ) -> Bool[np.ndarray, " n"]:
-    """Return at which spots a thing has room, also to be let down.
+    """Return at which spots an item has room, also to be let down.
 
     Args:
         spots: Middles of its base [m].

@@ -30,7 +30,7 @@ from momapos.planning.placement import (
 )
 
 from .base_pose_check import BasePoseChecks, plan_at_pose
-from .carries import MAX_CHOICES, carries_for, refuse_place
+from .carries import MAX_CHOICES, Carry, carries_for, refuse_place
 from .config import PipelineConfig
 from .max_opening import by_samples
 from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
@@ -47,8 +47,8 @@ MAX_TASKS = 20
 _INVERSE = {"pick": "place", "place": "pick"}
 """Verb that must precede the repetition of a verb for the same movable object."""
 MAX_THOROUGH = 2
-"""Number of tours whose base poses are searched on a grid, of those that move things in other ways;
-samples find one that works sooner [-]."""
+"""Number of tours whose base poses are searched on a grid, of those that differ in how they move
+objects; samples find one that works sooner [-]."""
 SHARED_POSE_SHARE = 0.5
 """Share of the remaining time per task for the search of a base pose that serves several tasks;
 the rest is for each task alone [-]."""
@@ -137,7 +137,7 @@ def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
 def _tours(
     query: PlacementQuery, requests: Sequence[Request], picks: Sequence[int], began: float
 ) -> Iterator[Tour]:
-    """Yield tours, with other ways to move the thing at which the one before fails.
+    """Yield tours, with other ways to move the object at which the one before fails.
 
     Args:
         query: See `plan_requests`.
@@ -150,7 +150,7 @@ def _tours(
         choices = Choices(query, tried)
         scenes = scenes_of(query.scene, requests, choices)
         planner = _Planner(
-            query, clock, began + query.config.timeout, scenes, tuple(requests), choices.kept
+            query, clock, began + query.config.timeout, scenes, tuple(requests), choices.carries
         )
         visits = planner.stops(0, query.start)
         steps = [step for visit in visits for step in visit]
@@ -174,7 +174,7 @@ def _solved_tasks(tour: Tour) -> int:
 
 
 def expanded(requests: Sequence[Request]) -> list[Request]:
-    """Return requests without `bring`, which is to pick a thing up and to place it."""
+    """Return requests without `bring`, which is to pick an object up and to place it."""
     tasks: list[Request] = []
     for one in requests:
         if one.verb == "bring":
@@ -196,28 +196,24 @@ def carried(requests: Sequence[Request]) -> list[int]:
 
 @dataclass
 class Choices:
-    """What is chosen of the ways to move things, and the grasps that it leaves to the tasks."""
+    """What is chosen of the ways to move objects, and the grasps that it leaves to the tasks."""
 
     query: PlacementQuery
     tried: Mapping[int, int]
-    """Number of ways that failed, by the index of the task that picks the thing up."""
-    kept: dict[int, GraspFilter] = field(default_factory=dict)
-    """The grasp of each task that picks up or places such a thing."""
+    """Number of ways that failed, by the index of the task that picks the object up."""
+    carries: dict[int, Carry] = field(default_factory=dict)
+    """The chosen way, by the index of that task."""
     count: dict[int, int] = field(default_factory=dict)
-    """Number of ways, by the index of the task that picks the thing up."""
+    """Number of ways, by the index of that task."""
 
     def carry(self, k: int, scene: Scene, name: str, to: float | str | None) -> Scene:
-        """Choose how to move the thing that a task picks up; return the scene with it there."""
+        """Choose how to move the object that a task picks up; return the scene with it there."""
         if to is not None:
             refuse_place("place", name, to)
         every = carries_for(self.query, scene, name, None if to is None else str(to))
-        carry = every[min(self.tried[k], len(every) - 1)]
-        there = scene if to is None else scene.with_pose(name, carry.T_world_goal)
+        carry = self.carries[k] = every[min(self.tried[k], len(every) - 1)]
         self.count[k] = len(every)
-        for index, verb, room in ((k, "pick", scene), (k + 1, "place", there)):
-            task = Task(verb, name)
-            self.kept[index] = carry.keeps(room, task, self.query.keep_grasps)
-        return there
+        return scene if to is None else scene.with_pose(name, carry.T_world_goal)
 
 
 def scenes_of(
@@ -228,7 +224,7 @@ def scenes_of(
     Args:
         scene: The scene before the first task.
         requests: The tasks, without `bring`.
-        choices: Chooses where things are put; None to leave them where they are.
+        choices: Chooses where objects are put; None to leave them where they are.
     """
     if not 1 <= len(requests) <= MAX_TASKS:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not {len(requests)}")
@@ -299,8 +295,8 @@ class _Planner:
     """Time on that clock [s]."""
     scenes: list[tuple[Scene, Task]]
     requests: tuple[Request, ...]
-    kept: Mapping[int, GraspFilter] = field(default_factory=dict)
-    """The only grasps of some tasks."""
+    carries: dict[int, Carry] = field(default_factory=dict)
+    """How objects are moved, by the index of the task that picks one up for the next task."""
     _checks: dict[int, BasePoseChecks] = field(default_factory=dict)
     """Checks of base poses, by task."""
 
@@ -373,11 +369,13 @@ class _Planner:
         pose = found.plan.final_base_pose
         if not found.plan.feasible or pose is None:
             return [found]
+        self._keep_grasp(first, found)
         base = np.array(pose)
         visit = [found]
         with suppress(OutOfTimeError):
             for k in range(first + 1, last + 1):
                 visit.append(plan_at_pose(replace(self._query(k), start=base), base))
+                self._keep_grasp(k, visit[-1])
         return visit
 
     def _within_one_reach(self, first: int, last: int) -> bool:
@@ -464,8 +462,22 @@ class _Planner:
         return replace(
             self.query, scene=scene, task=task, config=self._config(k), region=ANYWHERE,
             from_home=self.query.from_home or k > 0, watch=Stopwatch(self.clock),
-            keep_grasps=self.kept.get(k, self.query.keep_grasps),
+            keep_grasps=self._grasps_of(k),
         )  # fmt: skip
+
+    def _grasps_of(self, k: int) -> GraspFilter | None:
+        """Return which grasps a task may use."""
+        scene, task = self.scenes[k]
+        for pick in (k, k - 1):
+            if pick in self.carries:
+                return self.carries[pick].keeps(scene, task, self.query.keep_grasps)
+        return self.query.keep_grasps
+
+    def _keep_grasp(self, k: int, found: PlacementResult) -> None:
+        """Keep the grasp in which a task picks something up, for the task that places it."""
+        if k in self.carries and found.plan.feasible:
+            self.carries[k] = self.carries[k].holding(self.scenes[k][0], found.plan)
+            self._checks.pop(k + 1, None)
 
     def _config(self, k: int) -> PipelineConfig:
         """Return the configuration of a task; before another task the arm returns home."""

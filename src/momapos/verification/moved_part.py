@@ -142,7 +142,7 @@ class OwnElements:
     displaced: Bool[np.ndarray, " e"]
     """Whether another joint of the object has moved the element from rest."""
     loose: Bool[np.ndarray, " e"]
-    """Whether the element belongs to a thing that rests on the object."""
+    """Whether the element belongs to another object that rests on the object."""
     first: int = 0
     """Index of the first standing shape among all obstacles of a scene."""
     T_world_frame: Float[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))

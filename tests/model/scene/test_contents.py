@@ -31,21 +31,22 @@ DOOR = link(
     "door", ((0.02, 0.59, 0.88), (0, 0.295, 0)), ((0.08, 0.5, 0.02), (0.05, 0.295, -0.1)),
     handle=((0.02, 0.02, 0.16), (-0.04, 0.53, 0.1)),
 )  # fmt: skip
-HANDLE = ((0.02, 0.2, 0.02), (-0.03, 0.0, 0.05))
-FLAP = link("flap", ((0.5, 0.58, 0.02), (0.25, 0, 0.01)), handle=HANDLE)
-LID = joint("lid", "revolute", ("body", "flap"), (-0.25, 0, 0.9), (0, 1, 0), (-1.5, 0))
+FLAP = link("flap", ((0.02, 0.58, 0.5), (0, 0, 0.25)), handle=((0.02, 0.2, 0.02), (-0.05, 0, 0.45)))
+LID = joint("lid", "revolute", ("body", "flap"), (-0.27, 0, 0.3), (0, -1, 0), (0, 1.57))
 
 
-def thing(name: str, height: float, xyz: tuple[float, float, float], edge: float = 0.1) -> SceneObject:
+def item(
+    name: str, height: float, xyz: tuple[float, float, float], edge: float = 0.1
+) -> SceneObject:
     """Return an upright box, given the middle of its base."""
     x, y, z = xyz
     return SceneObject.box(name, (edge, edge, height), (x, y, z + height / 2))
 
 
-def drawer_room(folder: Path, *things: SceneObject) -> Scene:
-    """Return a room with a drawer, and things in it."""
+def drawer_room(folder: Path, *items: SceneObject) -> Scene:
+    """Return a room with a drawer, and items in it."""
     room = furniture_room(folder, [carcass(), tray(), SLIDE])
-    return replace(room, objects=(*room.objects, *things))
+    return replace(room, objects=(*room.objects, *items))
 
 
 def names_on(scene: Scene, name: str, joint: str) -> dict[str, str]:
@@ -54,10 +55,10 @@ def names_on(scene: Scene, name: str, joint: str) -> dict[str, str]:
 
 
 def test_what_rests_on_a_part_moves_with_it_also_on_something_else(tmp_path: Path) -> None:
-    box = thing("box", 0.05, (0.8, 0.0, BOTTOM), 0.2)
-    cup = thing("cup", 0.05, (0.8, 0.0, BOTTOM + 0.05), 0.06)
-    above = thing("above", 0.1, (0.8, 0.0, 0.9))
-    floating = thing("floating", 0.05, (0.65, 0.15, BOTTOM + 0.02))
+    box = item("box", 0.05, (0.8, 0.0, BOTTOM), 0.2)
+    cup = item("cup", 0.05, (0.8, 0.0, BOTTOM + 0.05), 0.06)
+    above = item("above", 0.1, (0.8, 0.0, 0.9))
+    floating = item("floating", 0.05, (0.65, 0.15, BOTTOM + 0.02))
     scene = drawer_room(tmp_path, box, cup, above, floating)
     assert names_on(scene, "cupboard", "slide") == {"box": "tray", "cup": "tray"}
     moved = scene.with_joint("cupboard", "slide", 0.3)
@@ -70,14 +71,12 @@ def test_what_rests_on_a_part_moves_with_it_also_on_something_else(tmp_path: Pat
     for name in ("above", "floating", "cupboard"):
         np.testing.assert_allclose(shifts[name], 0.0, atol=1e-12)
     back = moved.with_joint("cupboard", "slide", 0.0)
-    np.testing.assert_allclose(
-        back.object("cup").T_world_object, cup.T_world_object, atol=1e-12
-    )
+    np.testing.assert_allclose(back.object("cup").T_world_object, cup.T_world_object, atol=1e-12)
 
 
 def test_a_scene_may_state_what_a_thing_rests_on(tmp_path: Path) -> None:
-    hung = replace(thing("hung", 0.05, (0.8, 0.1, BOTTOM + 0.03)), on="cupboard/tray")
-    loose = replace(thing("loose", 0.05, (0.8, -0.1, BOTTOM)), on="")
+    hung = replace(item("hung", 0.05, (0.8, 0.1, BOTTOM + 0.03)), on="cupboard/tray")
+    loose = replace(item("loose", 0.05, (0.8, -0.1, BOTTOM)), on="")
     scene = save_scene(drawer_room(tmp_path, hung, loose), tmp_path / "room.json")
     entries = json.loads((tmp_path / "room.json").read_text())["objects"]
     assert [entry.get("on", "by contact") for entry in entries] == [
@@ -96,15 +95,15 @@ def test_a_scene_may_state_what_a_thing_rests_on(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_support_is_named(tmp_path: Path, on: str, words: str) -> None:
-    box = replace(thing("box", 0.05, (0.8, 0.1, BOTTOM)), on="cup" if on == "box" else None)
-    cup = replace(thing("cup", 0.05, (0.8, -0.1, BOTTOM)), on=on)
+    box = replace(item("box", 0.05, (0.8, 0.1, BOTTOM)), on="cup" if on == "box" else None)
+    cup = replace(item("cup", 0.05, (0.8, -0.1, BOTTOM)), on=on)
     save_scene(drawer_room(tmp_path, box, cup), tmp_path / "room.json")
     with pytest.raises((SceneError, UnknownNameError), match=words):
         load_scene(tmp_path / "room.json")
 
 
 def test_a_drawer_opens_and_closes_with_what_is_in_it(tmp_path: Path, segway: Robot) -> None:
-    scene = drawer_room(tmp_path, thing("box", 0.2, (0.75, 0.1, BOTTOM)))
+    scene = drawer_room(tmp_path, item("box", 0.2, (0.75, 0.1, BOTTOM)))
     save_scene(scene, tmp_path / "room.json")
     scene = load_scene(tmp_path / "room.json")
     opened = plan_base_placement(scene, segway, make_task(scene, "open", "cupboard/slide"))
@@ -119,11 +118,9 @@ def test_a_drawer_opens_and_closes_with_what_is_in_it(tmp_path: Path, segway: Ro
     assert verify_files(tmp_path / "close.json").valid
 
 
-def test_a_drawer_does_not_close_on_what_is_too_high_for_it(
-    tmp_path: Path, segway: Robot
-) -> None:
+def test_a_drawer_does_not_close_on_what_is_too_high_for_it(tmp_path: Path, segway: Robot) -> None:
     scene = drawer_room(tmp_path).with_joint("cupboard", "slide", 0.4)
-    high = thing("vase", 0.45, (0.35, 0.0, BOTTOM))
+    high = item("vase", 0.45, (0.35, 0.0, BOTTOM))
     scene = replace(scene, objects=(*scene.objects, high))
     answer = plan_base_placement(scene, segway, make_task(scene, "close", "cupboard/slide"))
     assert answer.plan.status == "infeasible"
@@ -132,7 +129,7 @@ def test_a_drawer_does_not_close_on_what_is_too_high_for_it(
 
 def test_a_bottle_in_the_shelf_of_a_door_swings_with_it(tmp_path: Path, segway: Robot) -> None:
     room = furniture_room(tmp_path, [carcass(), DOOR, SHELF])
-    bottle = thing("bottle", 0.2, (0.585, -0.1, 0.36), 0.06)
+    bottle = item("bottle", 0.2, (0.585, -0.1, 0.36), 0.06)
     scene = replace(room, objects=(*room.objects, bottle))
     assert names_on(scene, "cupboard", "hinge") == {"bottle": "door"}
     answer = plan_base_placement(scene, segway, make_task(scene, "open", "cupboard/hinge"))
@@ -145,14 +142,17 @@ def test_a_bottle_in_the_shelf_of_a_door_swings_with_it(tmp_path: Path, segway: 
     np.testing.assert_allclose(poses["bottle"], there.T_world_object, atol=1e-12)
 
 
-def test_what_stands_on_a_lid_would_fall(tmp_path: Path, segway: Robot) -> None:
-    room = furniture_room(tmp_path, [carcass(), FLAP, LID])
-    scene = replace(room, objects=(*room.objects, thing("jar", 0.1, (0.9, 0.0, 0.92))))
+def test_what_stands_on_a_flap_would_fall(tmp_path: Path, fetch: Robot) -> None:
+    room = furniture_room(tmp_path, [carcass(), FLAP, LID]).with_joint("cupboard", "lid", 1.57)
+    scene = replace(room, objects=(*room.objects, item("jar", 0.1, (0.3, 0.0, 0.31))))
     assert names_on(scene, "cupboard", "lid") == {"jar": "flap"}
+    answer = plan_base_placement(scene, fetch, make_task(scene, "close", "cupboard/lid"))
+    assert answer.plan.status == "solved"
+    assert "jar moves with cupboard/lid; it tilts by 90 deg, so it would fall" in answer.notes
 
 
 def test_without_contents_the_scene_stays_the_same(tmp_path: Path, segway: Robot) -> None:
-    scene = drawer_room(tmp_path, thing("beside", 0.2, (0.0, 2.0, 0.0)))
+    scene = drawer_room(tmp_path, item("beside", 0.2, (0.0, 2.0, 0.0)))
     assert scene.with_contents("cupboard", "slide") is scene
     query = PlacementQuery.of(scene, segway, make_task(scene, "open", "cupboard/slide"))
     assert query.scene is scene
@@ -162,7 +162,7 @@ def test_without_contents_the_scene_stays_the_same(tmp_path: Path, segway: Robot
 def test_the_scene_check_names_what_rests_on_parts(
     tmp_path: Path,
 ) -> None:
-    save_scene(drawer_room(tmp_path, thing("box", 0.1, (0.8, 0.1, BOTTOM))), tmp_path / "room.json")
+    save_scene(drawer_room(tmp_path, item("box", 0.1, (0.8, 0.1, BOTTOM))), tmp_path / "room.json")
     found = json_of("scene", "check", str(tmp_path / "room.json"), "--json")["findings"]
     assert "'box' rests on cupboard/tray and moves with cupboard/slide" in [
         one["text"] for one in found

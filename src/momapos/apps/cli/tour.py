@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
 
 from momapos.core import OutOfTimeError, TaskError, say, unknown_name
-from momapos.model.records import RequestVerb
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
     from momapos.planning import PipelineConfig, PlacementResult, Request, Tour
 
 THEN = "then"
-VERBS = get_args(RequestVerb)
 TIME_PER_PLAN = 0.1
 """Time in which a plan is timed and written after the search [s]; measured with five tasks."""
 USAGE = "write each further task as: then VERB OBJECT[/JOINT] [--to VALUE]"
@@ -96,8 +94,11 @@ def _value(words: list[str]) -> tuple[str | None, list[str]]:
 
 
 def _check_verb(verb: str) -> None:
-    if verb not in VERBS:
-        raise unknown_name("verb", verb, VERBS, "momapos place")
+    from momapos.model.records import RequestVerb
+
+    verbs = get_args(RequestVerb)
+    if verb not in verbs:
+        raise unknown_name("verb", verb, verbs, "momapos place")
 
 
 def _command(verb: str, further: list[tuple[str, str, str | None]]) -> Callable[..., int]:

@@ -28,9 +28,9 @@ from .plans import MotionLoads as MotionLoads
 from .plans import Outline as Outline
 from .plans import Overrides as Overrides
 from .plans import PlacementPlan as PlacementPlan
+from .plans import RequestVerb as RequestVerb
 from .plans import Status as Status
 from .plans import Task as Task
-from .plans import RequestVerb as RequestVerb
 from .plans import Verb as Verb
 from .plans import status_of_all as status_of_all
 from .protocols import ArticulationPredictor as ArticulationPredictor

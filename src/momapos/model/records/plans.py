@@ -90,7 +90,7 @@ FAMILIES: tuple[Family, ...] = tuple(one for one in Family if one)
 
 Verb = Literal["open", "close", "pick", "place"]
 RequestVerb = Literal[Verb, "bring"]
-"""What can be requested; to bring a thing is to pick it up and to place it."""
+"""What can be requested; to bring an object is to pick it up and to place it."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,5 @@
 from .contents import link_named as link_named
+from .contents import pieces_of as pieces_of
 from .contents import resting_on as resting_on
 from .contents import top_of as top_of
 from .joint_resistance import MotionResistance as MotionResistance

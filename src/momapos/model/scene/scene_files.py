@@ -38,9 +38,9 @@ from momapos.model.records import JointResistance
 from momapos.model.urdf import Geometry, Mesh, Urdf
 
 from . import bestman
+from .contents import check_supports
 from .formats import foreign_kind, is_map, obj_text, urdf_text
 from .map_room import read_map_scene, with_map
-from .contents import check_supports
 from .model_copies import model_files
 from .object_reader import (
     FLOOR_EDGE,

@@ -241,7 +241,7 @@ class Articulated:
     closed: Mapping[str, float] = field(default_factory=dict)
     """Values at which joints are closed, where a scene says so [rad] or [m]; see `opening_of`."""
     contents: frozenset[str] = frozenset()
-    """Links that stand for things that rest on it, by which nobody holds it."""
+    """Links that stand for objects that rest on it, by which nobody holds it."""
 
     def changed(
         self, *, held: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None

@@ -23,6 +23,6 @@ from .task_requests import hand_path as hand_path
 from .task_requests import in_front_of_parts as in_front_of_parts
 from .task_requests import make_task as make_task
 from .task_requests import openable as openable
-from .task_requests import parts_of as parts_of
 from .task_requests import part_facts_of as part_facts_of
+from .task_requests import parts_of as parts_of
 from .task_requests import slides as slides

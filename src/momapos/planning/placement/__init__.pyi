@@ -6,12 +6,12 @@ from .area import reachable_rectangle as reachable_rectangle
 from .area import sampling_box as sampling_box
 from .area import task_frame as task_frame
 from .area import within_reach as within_reach
-from .config import Method as Method
 from .config import OURS as OURS
+from .config import Method as Method
 from .config import PlaceConfig as PlaceConfig
+from .grasp_scores import MIN_MODE_SCORE as MIN_MODE_SCORE
 from .grasp_scores import GraspModeScorer as GraspModeScorer
 from .grasp_scores import GraspModeScores as GraspModeScores
-from .grasp_scores import MIN_MODE_SCORE as MIN_MODE_SCORE
 from .grasp_scores import attraction as attraction
 from .grasp_scores import grasp_mode_scorers as grasp_mode_scorers
 from .grasp_scores import sees as sees
