@@ -17,7 +17,6 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
-from momapos.planning.grasps.task_motions import LIFT_HEIGHT
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.spots import EDGE, ROOM, spots_for
 from momapos.planning.tour import Request
@@ -102,9 +101,7 @@ def test_one_grasp_serves_both_tasks_and_both_plans_are_valid(
         scene = load_scene(plan.scene if Path(plan.scene).is_absolute() else tmp_path / plan.scene)
         places.append(scene.object("bottle").T_world_object)
         assert plan.motion is not None
-        T_world_held = places[-1].copy()
-        T_world_held[2, 3] += LIFT_HEIGHT if plan.task.verb == "place" else 0.0
-        grasps.append(invert(T_world_held) @ plan.motion.Ts_world_tool[0])
+        grasps.append(invert(places[-1]) @ plan.motion.Ts_world_tool[0])
     np.testing.assert_allclose(grasps[1], grasps[0], atol=1e-6)
     np.testing.assert_array_equal(places[0], kitchen.object("bottle").T_world_object)
     top = kitchen.object("table").bounds
