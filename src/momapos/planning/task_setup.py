@@ -24,7 +24,6 @@ from momapos.planning.arm_motion import (
 )
 from momapos.planning.grasps import (
     FULL_DOF,
-    LIFT_HEIGHT,
     GraspFilter,
     Handle,
     TaskMotion,
@@ -86,7 +85,7 @@ class PreparedTask:
     @cached_property
     def blocked(self) -> str:
         """Return what blocks the part itself along its motion; "" if it is free."""
-        return self.verifier.blocked(LIFT_HEIGHT) or ""
+        return self.verifier.blocked(self.motion.lift) or ""
 
     @property
     def infeasible_reason(self) -> str:

@@ -36,6 +36,8 @@ MAX_DIP = 1e-3
 """A part that extends less below the floor slides along it, as a drawer of a base cabinet [m]."""
 TOUCH = 1e-5
 """Depth at which a part that would extend deeper meets the floor [m]."""
+LIFT_STEP = 0.002
+"""Distance between the heights at which a lift is checked [m]."""
 _FINE_STEPS = 33
 """Number of states between two states of a sweep, among which the contact is found [-]."""
 
@@ -603,3 +605,21 @@ def obstructing_links(scene: Scene, task: Task, limits: Limits = DEFAULT) -> fro
     """Return the links, as object/link, that stand in the way of what a task moves."""
     part, fixed, own = split(scene, task)
     return part_sweep_check(part, fixed, own, limits).obstructions(part.goal)
+
+
+def free_lift(scene: Scene, name: str, most: float, limits: Limits = DEFAULT) -> float:
+    """Return by how much an object can be lifted before it hits something, at most `most` [m].
+
+    Args:
+        scene: The scene.
+        name: The object, which has no joints.
+        most: Largest lift [m].
+        limits: Allowed overlap, also relative to the given scene.
+    """
+    check = part_sweep_check(*split(scene, Task("pick", name)), limits)
+    heights = np.linspace(0.0, most, max(2, math.ceil(most / LIFT_STEP) + 1))
+    hits = np.flatnonzero(check.excess(most) > 0.0)
+    Ts = check.placed(heights)
+    states = [check._first_state(pair, Ts) for pair in hits.tolist()]
+    first = min((state for state in states if state is not None), default=len(heights))
+    return float(heights[first - 1]) if first else 0.0

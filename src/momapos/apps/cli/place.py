@@ -199,6 +199,9 @@ class Options(SearchOptions):
     base: BaseArg = None
     """How the base may serve a task that no single pose serves: stops (up to three), moving (while
     the hand holds), or auto (whichever works first) (default: fixed)."""
+    lift: ValueArg = None
+    """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
+    it would hit something)."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = DEFAULT_SAMPLES
@@ -218,15 +221,19 @@ class Options(SearchOptions):
             raise InputError("--tolerance-samples needs --tolerance")
 
     def read_config(self) -> PipelineConfig:
-        """Read the configuration, with the robustness that --robust requires.
+        """Read the configuration, with what other options set.
 
         Raises:
             InputError: A setting is unknown, or out of range.
-            TaskError: --robust is not a length and an angle, or --base not a known word.
+            TaskError: --robust is not a length and an angle, --base not a known word, or --lift not
+                a length.
         """
         config = self.load_config(self.settings, SETTINGS).pipeline
         if self.base is not None:
             config = replace(config, base=parse_base(self.base))
+        if self.lift is not None:
+            lift = parse_quantity(self.lift).length("--lift:")
+            config = replace(config, motion=replace(config.motion, lift=lift))
         if self.robust is None:
             return config
         radius, turn = parse_robust(self.robust)
@@ -432,6 +439,8 @@ def _answer(
 ) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
+    if options.lift is not None and verb in ("open", "close"):
+        raise TaskError(f"--lift is for what is picked up or placed; {verb} lifts nothing")
     config = options.read_config()
     name, _, joint = target.partition("/")
     try:

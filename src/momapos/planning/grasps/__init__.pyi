@@ -15,6 +15,7 @@ from .sliding_hooks import sliding_motion as sliding_motion
 from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT
 from .task_motions import GraspFilter as GraspFilter
 from .task_motions import in_scene as in_scene
+from .task_motions import lift_of as lift_of
 from .task_motions import scene_boxes as scene_boxes
 from .task_motions import task_motion as task_motion
 from .task_motions import with_other_handle as with_other_handle

@@ -64,6 +64,8 @@ class GraspConfig:
 
 MAX_GRASPS, MAX_WAYPOINTS = 100_000, 2_000
 """Bounds of the counts; 2,000 waypoints with their steps are half the states of a plan [-]."""
+MAX_LIFT = 1.0
+"""Largest height by which an object is lifted [m]."""
 SUBSTEPS = 4
 """Number of steps per waypoint; all are checked [-]."""
 
@@ -78,6 +80,9 @@ class MotionConfig:
     """Travel of a slide between waypoints [m]."""
     waypoints: Optional[int] = None  # noqa: UP045 (see cli.options)
     """Number of waypoints; None to derive it from the two above [-]."""
+    lift: Optional[float] = None  # noqa: UP045 (see cli.options)
+    """Height by which a rigid object is lifted, or let down; None for 5 cm, or less where it would
+    hit something [m]."""
     home_again: bool = False
     """Whether the hand releases the part at the end and the arm returns home, with a picked object,
     as before another task."""
@@ -88,4 +93,7 @@ class MotionConfig:
         refuse_below(self, 0.001, "waypoint_slide")
         if self.waypoints is not None:
             refuse_below(self, 2, "waypoints")
+        if self.lift is not None:
+            refuse_below(self, 0.0, "lift")
+        refuse_above(self, MAX_LIFT, "lift")
         refuse_above(self, MAX_WAYPOINTS, "waypoints")

@@ -227,6 +227,11 @@ class TaskMotion:
         )
 
     @property
+    def lift(self) -> float:
+        """Return by how much a rigid object is lifted or let down [m]; 0 for the part of a joint."""
+        return 0.0 if self.weight is None else float(np.ptp(self.weight.center[:, 2]))
+
+    @property
     def closed(self) -> Bool[np.ndarray, " d"]:
         """Whether the fingers are closed at each step, if they close at all."""
         steps = np.arange(len(self.object_q))

@@ -22,6 +22,7 @@ from momapos.model.scene import (
     resistance_along,
 )
 from momapos.model.urdf import Articulated, Boxes, Joint, MovingBoxes, opening_of
+from momapos.verification import free_lift
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
 from .grasp_families import MIN_LEVER, GraspSelection, select_inner_pushes, select_part_grasps
@@ -235,7 +236,22 @@ def select_latch_grasps(
 
 
 LIFT_HEIGHT = 0.05
-"""Height by which a rigid object is lifted [m]."""
+"""Height by which a rigid object is lifted, where nothing is above it [m]."""
+LOW_LIFTS = (0.03, 0.02, 0.01, 0.005)
+"""Heights that are tried where it would hit something [m]."""
+LIFT_ROOM = 0.012
+"""Free height above a lifted object, a little more than arms keep from everything [m]."""
+
+
+@owner_cache()
+def lift_of(scene: Scene, name: str) -> float:
+    """Return by how much an object is lifted where it stands, and let down [m].
+
+    This is `LIFT_HEIGHT`, or the largest lower height at which it hits nothing.
+    """
+    room = LIFT_HEIGHT + LIFT_ROOM
+    free = free_lift(scene, name, room) - LIFT_ROOM
+    return next((h for h in (LIFT_HEIGHT, *LOW_LIFTS) if h <= free), LIFT_HEIGHT)
 
 
 def task_motion(
@@ -439,7 +455,8 @@ def _rigid_motion(
         own=own_poses(robot, target.name, None),
     )  # fmt: skip
     Ts_object_tool = chosen.Ts_part_tool
-    lifts = np.linspace(0.0, LIFT_HEIGHT, SUBSTEPS + 1)
+    lift = LIFT_HEIGHT if config.lift is None else config.lift
+    lifts = np.linspace(0.0, lift, SUBSTEPS + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
     weight = _weight(target, Ts_world_object, T_object, config)
