@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.spots import EDGE, ROOM, spots_for
 from momapos.planning.tour import Request
-from momapos.verification.plan_check import verify_files
+from momapos.verification.plan_check import verify_files, verify_tour
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +105,24 @@ def test_one_grasp_serves_both_tasks_and_both_plans_are_valid(
         grasps.append(invert(places[-1]) @ plan.motion.Ts_world_tool[0])
     np.testing.assert_allclose(grasps[1], grasps[0], atol=1e-6)
     np.testing.assert_array_equal(places[0], kitchen.object("bottle").T_world_object)
+    assert all(report.valid for report in verify_tour(out).values())
     top = kitchen.object("table").bounds
     assert ((places[1][:2, 3] > top[0, :2]) & (places[1][:2, 3] < top[1, :2])).all()
+
+
+def test_a_tour_whose_objects_are_elsewhere_than_it_leaves_them_is_invalid(tmp_path: Path) -> None:
+    out = tmp_path / "bring.json"
+    json_of(
+        "place", "bring", "kitchen_small", "bottle", "--to", "table", "--robot", "fetch",
+        "--out", str(out), "--json",
+    )  # fmt: skip
+    room = tmp_path / "bring_room_2.json"
+    content = json.loads(room.read_text())
+    (cup,) = (one for one in content["objects"] if one["name"] == "cup")
+    cup["pose"]["xyz"][0] += 0.05
+    room.write_text(json.dumps(content))
+    failed = [one for one in verify_tour(out)["bring.json"].checks if not one.ok]
+    assert [one.detail for one in failed] == ["cup is not where or as it was"]
 
 
 def test_an_object_is_brought_within_a_longer_tour(kitchen: Scene, fetch: Robot) -> None:

@@ -201,7 +201,7 @@ def test_plans_that_do_not_follow_each_other_are_reported(written: Path, tmp_pat
     report = verify_tour(tmp_path / "tour.json")["tour.json"]
     assert [check.name for check in report.violations] == [
         "stops are numbered from 1, in order", "plan 2: arm has returned home",
-        "plan 3: scene joints are as the previous plan leaves them",
+        "plan 3: the room is as the previous plan leaves it",
         "plan 3: base starts where the previous plan ends",
     ]  # fmt: skip
     assert home

@@ -193,8 +193,8 @@ def refuse_values_below(config: object, least: float, *names: str) -> None:
             raise InputError(f"{field} must be at least {least:g}, not {value:g}")
 
 
-def refuse_above(config: object, most: int, *names: str) -> None:
-    """Check upper bounds of counts of a configuration; None is allowed.
+def refuse_above(config: object, most: float, *names: str) -> None:
+    """Check upper bounds of a configuration; None is allowed.
 
     Raises:
         InputError: A field is larger.

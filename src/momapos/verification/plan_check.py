@@ -10,10 +10,18 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from momapos.core import USER_CACHE, Cache, FileFormatError, as_path, expect, resolved
+from momapos.core.geometry import invert
 from momapos.model.plan_files import TourFile, changed_files, read_plan, read_tour
 from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot, claimed_apart, read_srdf
-from momapos.model.scene import Scene, as_planned, load_scene, with_assumptions, with_overrides
+from momapos.model.scene import (
+    Scene,
+    as_begun,
+    as_planned,
+    load_scene,
+    with_assumptions,
+    with_overrides,
+)
 from momapos.model.urdf import Articulated, in_convex_pieces, read_urdf
 
 from . import path_checks as paths
@@ -40,6 +48,11 @@ from .plan_claims import (
 from .report import DEFAULT, Check, Limits, Report, at_most, verdict
 from .robot_collision_model import RobotDescription, robot_collision_model, self_pairs
 
+SAME_ROOM = 1e-5
+"""Differences of poses, joint values and extents between two rooms below which they are the same:
+files round numbers [m], [rad]."""
+SAME_GRASP = 1e-3
+"""Difference of the hand's poses in an object below which the hand holds it as before [m]."""
 MAX_NAMED = 6
 """Maximum number of names in a note [-]."""
 
@@ -292,13 +305,30 @@ def verify_tour(
         file.name: verify_files(file, scene_root, limits, allow_assumed=allow_assumed, cache=cache)
         for file in files
     }
-    sequence = _sequence(tour, [read_plan(file) for file in files], allow_assumed)
+    plans = [read_plan(file) for file in files]
+    folders = [resolved(path).parent, *([scene_root] if scene_root else []), Path()]
+    read: dict[Path, Scene] = {}
+    rooms = []
+    for file, plan in zip(files, plans, strict=True):
+        scene = find_file("scene", plan.scene, folders, file)
+        room = read.setdefault(scene, read.get(scene) or read_scene(scene, scene_root, cache))
+        rooms.append(as_begun(room, plan))
+    sequence = _sequence(tour, plans, rooms, allow_assumed)
     reports[path.name] = Report(tuple(sequence))
     return reports
 
 
-def _sequence(tour: TourFile, plans: list[PlacementPlan], allow_assumed: bool) -> Iterator[Check]:
-    """Check that each plan starts in the state in which the previous plan ends."""
+def _sequence(
+    tour: TourFile, plans: list[PlacementPlan], rooms: list[Scene], allow_assumed: bool
+) -> Iterator[Check]:
+    """Check that each plan starts in the state in which the previous plan ends.
+
+    Args:
+        tour: The tour.
+        plans: Its plans.
+        rooms: The scene of each plan as it begins, or with what it places at its goal.
+        allow_assumed: As for `verify_files`.
+    """
     solved = tour.status == "solved" or (allow_assumed and tour.status == "assumed")
     yield verdict("status is solved", solved, f"status {tour.status!r}")
     stops = [step.stop for step in tour.steps]
@@ -308,15 +338,18 @@ def _sequence(tour: TourFile, plans: list[PlacementPlan], allow_assumed: bool) -
     for number, (before, after) in enumerate(pairwise(plans), start=2):
         name = f"plan {number}"
         yield verdict(
-            f"{name}: same scene and robot as the previous plan",
-            (before.scene, before.robot_urdf, before.joints)
-            == (after.scene, after.robot_urdf, after.joints),
+            f"{name}: same robot as the previous plan",
+            (before.robot_urdf, before.joints) == (after.robot_urdf, after.joints),
         )
+        left, room = _left_by(before, rooms[number - 2]), rooms[number - 1]
+        placed = after.task.object if after.task.verb == "place" else ""
+        other = _differences(left, room, placed)
         yield verdict(
-            f"{name}: scene joints are as the previous plan leaves them",
-            _joints_after(before) == _joints(after),
-            f"{_joints(after)}, previous plan leaves {_joints_after(before)}",
-        )  # fmt: skip
+            f"{name}: the room is as the previous plan leaves it", not other, ", ".join(other)
+        )
+        if placed and (before.task.verb, before.task.object) == ("pick", placed):
+            off = _grasp_gap(before, rooms[number - 2], after, room)
+            yield at_most(f"{name}: {placed} is held as it was picked up", off, SAME_GRASP, "m")
         ends = np.array([before.final_base_pose or [np.nan] * 3, after.start or [np.nan] * 3])
         off = float(np.abs(np.diff(ends, axis=0)).max())
         yield at_most(f"{name}: base starts where the previous plan ends", off, 1e-6, "rad|m")
@@ -340,20 +373,53 @@ def _arm_gap(before: PlacementPlan, after: PlacementPlan) -> float | None:
     return float(np.abs(starts - last.home[-1:]).max(initial=0.0))
 
 
-def _joints(plan: PlacementPlan) -> dict[tuple[str, str], float]:
-    """Return the joint values that differ from the scene file."""
-    return {
-        (name, joint): value
-        for name, joints in plan.scene_joints.items()
-        for joint, value in joints.items()
-    }
-
-
-def _joints_after(plan: PlacementPlan) -> dict[tuple[str, str], float]:
+def _left_by(plan: PlacementPlan, room: Scene) -> Scene:
+    """Return the room after a plan."""
     task = plan.task
     if task.joint is None or task.to is None:
-        return _joints(plan)
-    return {**_joints(plan), (task.object, task.joint): task.to}
+        return room
+    return room.with_joint(task.object, task.joint, task.to)
+
+
+def _differences(before: Scene, after: Scene, held: str) -> list[str]:
+    """Return which objects differ between two rooms, but for one that is in the hand."""
+    if before is after:
+        return []
+    one, other = ({item.name: item for item in room.objects} for room in (before, after))
+    found = [f"{name} is in one of them" for name in sorted(one.keys() ^ other.keys())]
+    for name in sorted(one.keys() & other.keys()):
+        a, b = one[name], other[name]
+        if a is b:
+            continue
+        if name == held:
+            moved = np.abs(np.ptp(a.bounds, axis=0)[2] - np.ptp(b.bounds, axis=0)[2])
+        else:
+            moved = np.abs(a.T_world_object - b.T_world_object).max()
+            moved = max(moved, np.abs(a.bounds - b.bounds).max())
+        if moved > SAME_ROOM:
+            found.append(f"{name} is not where or as it was")
+        values = b.values()
+        found += [
+            f"{name}/{joint} is at {values[joint]:g}, not {value:g}"
+            for joint, value in a.values().items()
+            if abs(value - values.get(joint, np.inf)) > SAME_ROOM
+        ]
+    return found
+
+
+def _grasp_gap(pick: PlacementPlan, room: Scene, place: PlacementPlan, goal: Scene) -> float:
+    """Return how far apart a hand holds an object as it picks it up and as it places it [m].
+
+    A difference of the rotation counts at 1 m from the tool.
+    """
+    if pick.motion is None or place.motion is None:
+        return np.inf
+    held = [
+        invert(scene.object(plan.task.object).T_world_object) @ plan.motion.Ts_world_tool[0]
+        for plan, scene in ((pick, room), (place, goal))
+        if plan.motion is not None
+    ]
+    return float(np.abs(held[0] - held[1]).max())
 
 
 def check_plan_numbers(plan: PlacementPlan, scene: Scene, robot: Robot, name: str) -> None:

@@ -26,6 +26,7 @@ from .model_copies import model_files as model_files
 from .object_reader import FLOOR_EDGE as FLOOR_EDGE
 from .object_reader import size_hint as size_hint
 from .object_reader import usual_edge as usual_edge
+from .other_motion import as_begun as as_begun
 from .other_motion import as_planned as as_planned
 from .other_motion import hypothesis_about as hypothesis_about
 from .other_motion import save_with_part_motion as save_with_part_motion

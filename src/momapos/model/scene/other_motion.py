@@ -171,9 +171,17 @@ def with_overrides(scene: Scene, plan: PlacementPlan) -> Scene:
 
 
 def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
-    """Return a scene with the hypotheses and joint values of a plan.
+    """Return a scene as a plan begins, with what moves with its part as links of the part's object.
 
-    What moves with the part of its task is a link of its object.
+    Raises:
+        UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
+    """
+    scene, task = as_begun(scene, plan), plan.task
+    return scene if task.joint is None else scene.with_contents(task.object, task.joint)
+
+
+def as_begun(scene: Scene, plan: PlacementPlan) -> Scene:
+    """Return a scene with the hypotheses and joint values of a plan.
 
     Raises:
         UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
@@ -181,9 +189,7 @@ def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
     for name, taken in plan.scene_hypotheses.items():
         for joint, index in taken.items():
             scene = scene_with_hypothesis(scene, name, joint, index)
-    scene = scene.with_joints(plan.scene_joints)
-    task = plan.task
-    return scene if task.joint is None else scene.with_contents(task.object, task.joint)
+    return scene.with_joints(plan.scene_joints)
 
 
 def save_with_part_motion(

@@ -228,7 +228,7 @@ class TaskMotion:
 
     @property
     def lift(self) -> float:
-        """Return by how much a rigid object is lifted or let down [m]; 0 for the part of a joint."""
+        """Return by how much a rigid object is lifted or let down [m]; 0 for a part."""
         return 0.0 if self.weight is None else float(np.ptp(self.weight.center[:, 2]))
 
     @property
