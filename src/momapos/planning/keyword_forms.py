@@ -251,7 +251,9 @@ def plan_tour(
 def _request(value: object) -> Request:
     if not isinstance(value, tuple) or not 2 <= len(value) <= 4:
         raise InputError(f"requests must hold Request(verb, object, joint, to), not {value!r:.60}")
-    return Request(*value)
+    request = Request(*value)
+    expect("Request.verb", request.verb, str)
+    return request
 
 
 def _with_pose(scene: Any, rest: tuple[Any, ...], options: Any) -> tuple[PlacementQuery, Any]:

@@ -172,7 +172,11 @@ def test_if_the_object_is_out_of_reach_the_door_is_opened_from_its_other_side(
 
 
 def test_an_infeasible_opening_ends_the_job(tmp_path: Path) -> None:
-    row = run_job(replace(with_egg(tmp_path), carried=()), "ours", tmp_path)
+    task = replace(with_egg(tmp_path), carried=())
+    content = json.loads((tmp_path / "kitchen.json").read_text())
+    content["objects"][-1]["on"] = None  # it stays behind
+    (tmp_path / "kitchen.json").write_text(json.dumps(content))
+    row = run_job(task, "ours", tmp_path)
     assert row.outcome == "infeasible"
     assert "egg" in row.reason
     assert row.bases == ()

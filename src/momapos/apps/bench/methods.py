@@ -6,8 +6,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import get_args
 
-import numpy as np
-
 from momapos.core import InputError, unknown_name
 from momapos.model.scene import Scene
 from momapos.planning import PipelineConfig, apply_settings, parse_setting
@@ -75,13 +73,10 @@ def opened(scene: Scene, box: Container, value: float, carried: Collection[str])
         scene: The scene before.
         box: The container.
         value: New value of its joint [rad] or [m].
-        carried: Objects that move with it.
+        carried: Objects that move with it, also without touching it.
     """
-    holder, after = scene.object(box.object), scene.with_joint(box.object, box.joint, value)
-    link = holder.model.joint(box.joint).child
-    T = after.object(box.object).link_poses()[link] @ np.linalg.inv(holder.link_poses()[link])
-    objects = (
-        replace(item, T_world_object=T @ item.T_world_object) if item.name in carried else item
-        for item in after.objects
+    part = f"{box.object}/{box.joint}"
+    objects = tuple(
+        replace(item, on=part) if item.name in carried else item for item in scene.objects
     )
-    return replace(after, objects=tuple(objects))
+    return replace(scene, objects=objects).with_joint(box.object, box.joint, value)

@@ -149,10 +149,12 @@ def scene_with_hypothesis(scene: Scene, name: str, joint: str, index: int) -> Sc
 def with_assumptions(scene: Scene, plan: PlacementPlan) -> Scene:
     """Return a scene with the resistance and the mass that a plan assumes.
 
+    What moves with the part of its task is a link of the part's object.
+
     Raises:
         UnknownNameError: The scene has no such object or joint.
     """
-    scene = scene.with_resistance(plan.resistance)
+    scene = _loaded(scene, plan).with_resistance(plan.resistance)
     if plan.loads is None or plan.loads.payload is None:
         return scene
     return scene.with_mass(plan.task.object, plan.loads.payload)
@@ -176,7 +178,12 @@ def as_planned(scene: Scene, plan: PlacementPlan) -> Scene:
     Raises:
         UnknownNameError, SceneError: The scene has no such joint, hypothesis or value.
     """
-    scene, task = as_begun(scene, plan), plan.task
+    return _loaded(as_begun(scene, plan), plan)
+
+
+def _loaded(scene: Scene, plan: PlacementPlan) -> Scene:
+    """Return a scene with what moves with a plan's part as links of the part's object."""
+    task = plan.task
     return scene if task.joint is None else scene.with_contents(task.object, task.joint)
 
 
