@@ -17,6 +17,7 @@ from momapos.core import Cache
 from momapos.model.collision.spheres import build_spheres
 from momapos.model.kinematics.chain import build_chain
 from momapos.model.robots.amended_urdf import Amendments
+from momapos.model.urdf import articulated
 from momapos.model.urdf.articulated import LINK_CUT, Articulated
 from momapos.model.urdf.hulls import Hull
 from momapos.planning.grasps.handle_shapes import convex_of
@@ -116,6 +117,13 @@ def test_a_link_with_damaged_faces_is_its_hull(tmp_path: Path) -> None:
     path.write_text(path.read_text() + "f 1 2 999999\n")
     record, _ = Amendments().read(tmp_path / "robot.urdf")
     assert len(Articulated(record).hulls["body"]) == 1
+
+
+def test_a_link_with_very_many_triangles_is_its_hull(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(articulated, "MAX_MEASURED", 12 * len(LINKS["cage"][0]) - 1)
+    assert len(robot_of(tmp_path, LINKS["cage"][0]).hulls["body"]) == 1
 
 
 def test_planner_and_exact_check_use_the_same_pieces_by_their_names(tmp_path: Path) -> None:

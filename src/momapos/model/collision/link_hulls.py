@@ -56,6 +56,59 @@ def hulls_overlap(R, p, hulls, i, first, last):
 
 
 @kernel
+def surfaces_overlap(R, p, hulls, at, near):
+    """Return whether hulls of group 0 overlap those after it, which are many small ones.
+
+    Only those within the bounds of the others are compared.
+
+    Args:
+        R, p: Segment poses (n + 1, 3, 3), (n + 1, 3).
+        hulls: `HullArrays`.
+        at: Scratch memory for centers (hulls, 3).
+        near: Scratch memory for indices (hulls,).
+    """
+    count, end = hulls.of_group[1], len(hulls.segment)
+    for h in range(end):
+        at[h, 0], at[h, 1], at[h, 2] = moved(R, p, hulls.segment[h], hulls.center[h])
+    for h in range(end):
+        near[h] = h
+    low, high = _bounds_of(at, hulls.radius, near, count, end)
+    first = _within(at, hulls.radius, near, 0, count, low, high)
+    low, high = _bounds_of(at, hulls.radius, near, 0, first)
+    last = _within(at, hulls.radius, near, count, end, low, high)
+    for a in near[:first]:
+        for b in near[count:last]:
+            if _overlap(R, p, hulls, a, b):
+                return True
+    return False
+
+
+@kernel
+def _bounds_of(at, radius, near, begin, end):
+    """Return the corners of the bounds of the balls around some hulls."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for h in near[begin:end]:
+        for k in range(3):
+            low[k] = min(low[k], at[h, k] - radius[h])
+            high[k] = max(high[k], at[h, k] + radius[h])
+    return low, high
+
+
+@kernel
+def _within(at, radius, near, begin, end, low, high):
+    """Move indices of hulls that reach into bounds to the front; return where they end."""
+    last = begin
+    for h in near[begin:end]:
+        inside = True
+        for k in range(3):
+            inside &= at[h, k] - radius[h] <= high[k] and at[h, k] + radius[h] >= low[k]
+        if inside:
+            near[last] = h
+            last += 1
+    return last
+
+
+@kernel
 def _overlap(R, p, hulls, h, k):
     """Return whether no direction is found that separates two hulls."""
     m, n = hulls.segment[h], hulls.segment[k]

@@ -26,7 +26,7 @@ from momapos.model.kinematics import (
 from momapos.model.urdf import Articulated
 
 from .arm_collision import APART, MEET, meeting, meeting_base, place_arm, scratch_of
-from .link_hulls import hulls_overlap, surface_hulls
+from .link_hulls import hulls_overlap, surface_hulls, surfaces_overlap
 from .spheres import Spheres, build_spheres
 
 if TYPE_CHECKING:
@@ -82,10 +82,11 @@ def _crossings(q: F2, chain: ChainArrays, spheres: SphereArrays, hulls: HullArra
     """Mark the states in which hulls of group 0 overlap those after it."""
     scratch, out = scratch_of(len(chain.slides), spheres), np.zeros(len(q), np.bool_)
     R, p, _ = scratch
-    base = np.zeros(3)
+    base, at = np.zeros(3), np.empty((len(hulls.segment), 3))
+    near = np.empty(len(hulls.segment), np.int64)
     for m in range(len(q)):
         place_arm(q[m], base, chain, spheres, scratch)
-        out[m] = hulls_overlap(R, p, hulls, 0, hulls.of_group[1], len(hulls.segment))
+        out[m] = surfaces_overlap(R, p, hulls, at, near)
     return out
 
 
