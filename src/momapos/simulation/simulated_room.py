@@ -246,6 +246,7 @@ def _width(item: SceneObject, joint: Joint) -> float:
 def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -> None:
     """Add everything fixed: the floor, and all elements of all objects except the part's.
 
+    What lies flat on the floor is left out: wheels climb it, and the base is not driven by wheels.
     Each element is a separate body, so that single collision pairs with the part can be excluded.
     """
     floor = spec.worldbody.add_geom(
@@ -253,6 +254,8 @@ def add_room(spec: Any, scene: Scene, task: Task, deviation: Deviation | None) -
     )
     dress(floor, Kind.FLOOR, touched=False)
     for item in scene.objects:
+        if item.is_flat and item.name != task.object:
+            continue
         moved = moved_links(item, task)
         for link, T in _poses(item, task, deviation).items():
             if link in moved:

@@ -14,7 +14,7 @@ import numpy as np
 
 from momapos.core.geometry import apply, contains, edge_distances, invert, place_points, pose_planar
 from momapos.model.records import Motion, MotionLoads, Outline, PlacementPlan, Task
-from momapos.model.scene import ResistanceConfig, Scene, area_name
+from momapos.model.scene import MAX_STEP_HEIGHT, ResistanceConfig, Scene, area_name
 
 from . import path_checks as paths
 from .exact_shapes import Shapes, without_piece
@@ -127,8 +127,6 @@ MIN_SWEEP_STEPS = 49
 MAX_BEYOND_AREA = 0.01
 """How far the base's shapes may extend beyond an area to keep in [m]; robot files round the
 footprint that the planner keeps in."""
-MAX_DRIVABLE_HEIGHT = 0.005
-"""The base drives over obstacles up to this height [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +315,7 @@ class PlanVerifier:
         high = fixed.Ts_body_shape[:, 2, 3] + (
             np.abs(fixed.Ts_body_shape[:, 2, :3]) * fixed.half
         ).sum(1)
-        tall = high > MAX_DRIVABLE_HEIGHT
+        tall = high > MAX_STEP_HEIGHT
         carried = self.task.verb == "place"
         drives = [(self._base, T_base), (self._arm, T_arm)]
         if carried:

@@ -182,7 +182,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
     if task.joint is not None:
         target.joint(task.joint)
     part, own = split_object(target, task)
-    fixed = [own.standing if item is target else static_shapes(item) for item in scene.objects]
+    fixed = [own.standing if item is target else obstacle(item) for item in scene.objects]
     counts = [len(shapes) for shapes in fixed]
     own = replace(own, first=sum(counts[: scene.objects.index(target)]))
     return part, join(fixed, [f"{item.name}/" for item in scene.objects]), own
@@ -259,6 +259,12 @@ def _moved_shapes(task: Task, bodies: LinkBodies, shapes: Shapes) -> Int[np.ndar
     """Return the indices of the shapes that a task moves."""
     everything = frozenset(range(len(bodies)))
     return of_bodies(shapes, everything if task.joint is None else bodies.moved_by(task.joint))
+
+
+def obstacle(item: SceneObject) -> Shapes:
+    """Return the shapes of an object that is in the way; none if it lies flat on the floor."""
+    shapes = static_shapes(item)
+    return shapes.take(np.arange(0)) if item.is_flat else shapes
 
 
 def static_shapes(item: SceneObject) -> Shapes:

@@ -50,6 +50,7 @@ from .scene_names import builtin_names as builtin_names
 from .scene_names import builtin_size as builtin_size
 from .scene_names import find_scene as find_scene
 from .scene_names import refuse_unknown_object as refuse_unknown_object
+from .scene_object import MAX_STEP_HEIGHT as MAX_STEP_HEIGHT
 from .scene_object import SceneObject as SceneObject
 from .scene_object import Wall as Wall
 from .scene_object import upright_boxes as upright_boxes

@@ -183,6 +183,8 @@ def check_crossing(walls: Sequence[Wall], where: str) -> None:
         )
 
 
+MAX_STEP_HEIGHT = 5e-3
+"""Robots drive over what is at most this high on the floor: rugs, sills, cables [m]."""
 MIN_BOX_EDGE = 1e-4
 """Minimum edge of a box [m]."""
 MIN_SCALE = 1e-6
@@ -474,6 +476,11 @@ class SceneObject:
         x, y, z = np.maximum(high - low, MIN_BOX_EDGE).tolist()
         model = Articulated(box_urdf(self.name, (x, y, z)))
         return SceneObject(self.name, self.category, pose(R @ ((low + high) / 2), R), model)
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Return whether it lies so flat on the floor that it is in nobody's way."""
+        return bool(self.bounds[1, 2] <= MAX_STEP_HEIGHT)
 
     @cached_property
     def bounds(self) -> Float[np.ndarray, "2 3"]:

@@ -128,6 +128,8 @@ def static_boxes(
 ) -> tuple[Boxes, tuple[str, ...]]:
     """Return the boxes of all static links, and their labels, cached for all motions of a part.
 
+    What lies flat on the floor is left out.
+
     Args:
         scene: The scene.
         target: The object with moving links, if any.
@@ -136,6 +138,8 @@ def static_boxes(
     found: list[Boxes] = []
     labels: list[str] = []
     for item in scene.objects:
+        if item.is_flat and item is not target:
+            continue
         for link, boxes in item.static_boxes.items():
             if item is not target or link not in moved:
                 found.append(boxes)

@@ -28,14 +28,12 @@ from momapos.core.geometry import (
     signed_area,
 )
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene, SceneObject
+from momapos.model.scene import MAX_STEP_HEIGHT, Scene, SceneObject
 from momapos.model.urdf import Hull
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
-MAX_STEP_HEIGHT = 0.005
-"""Obstacles up to this height are driven over [m]."""
 MAX_PRISMS = 5
 """Largest number of prisms of a robot [-]."""
 
