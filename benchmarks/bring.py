@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from momapos.apps.cli.tour import with_files
 from momapos.core import MomaposError
 from momapos.model.plan_files import write_plan
 from momapos.model.records import Task
@@ -98,7 +97,7 @@ def answer(errand: Errand, *, run: bool) -> dict[str, Any]:
 
 def check(tour: Tour, folder: Path, *, run: bool) -> dict[str, Any]:
     """Verify the plans of a tour from their files, and execute each in physics."""
-    tour = with_files(tour, folder / "tour.json")
+    tour = tour.with_scene_files(folder / "tour.json")
     found: dict[str, Any] = {"valid": True, "done": True}
     for k, (step, room) in enumerate(zip(tour.steps, tour.scenes, strict=True)):
         write_plan(step.plan, folder / f"{k}.json")

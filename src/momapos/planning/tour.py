@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -20,7 +22,7 @@ from momapos.model.records import (
     Task,
     status_of_all,
 )
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, copied, save_scene
 from momapos.planning.grasps import GraspFilter, make_task
 from momapos.planning.placement import (
     BaseStatus,
@@ -92,6 +94,32 @@ class Tour:
     def driving(self) -> float:
         """Return the total driving length [m]."""
         return sum(step.plan.navigation_cost or 0.0 for step in self.steps)
+
+    def with_scene_files(self, out: Path) -> Tour:
+        """Write the scenes in which something has been moved; return the tour that names them.
+
+        Args:
+            out: File of the tour; the scenes become `<stem>_room_<number>.json` next to it, with
+                the files of their models in `<stem>_room_<number>_files`.
+
+        Raises:
+            SceneError: A file cannot be written or copied.
+        """
+        steps: list[PlacementResult] = []
+        files: dict[int, Path] = {}
+        for number, (step, scene) in enumerate(zip(self.steps, self.scenes, strict=False), 1):
+            if scene.path is None:
+                if id(scene) not in files:
+                    file = files[id(scene)] = out.with_name(f"{out.stem}_room_{number}.json")
+                    if file.is_file():  # of an earlier answer
+                        file.unlink()
+                        shutil.rmtree(file.with_name(f"{file.stem}_files"), ignore_errors=True)
+                    with copied(scene, file) as own:
+                        save_scene(own, file)
+                plan = replace(step.plan, scene=str(files[id(scene)]), scene_joints={})
+                step = replace(step, plan=plan)
+            steps.append(step)
+        return replace(self, steps=tuple(steps))
 
 
 def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
@@ -27,11 +26,9 @@ from .parse import parse
 from .place import DEFAULT, Options, Shared, read_region, read_scene
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from momapos.model.records import PlacementPlan
     from momapos.model.scene import Scene
-    from momapos.planning import PipelineConfig, PlacementResult, Request, Tour
+    from momapos.planning import PipelineConfig, Request, Tour
 
 THEN = "then"
 TIME_PER_PLAN = 0.1
@@ -249,7 +246,7 @@ def _deliver(tour: Tour, options: Options) -> None:
             for step in tour.steps
         ))  # fmt: skip
     if options.out is not None:
-        tour = with_files(tour, options.out)
+        tour = tour.with_scene_files(options.out)
     plans = [step.plan for step in tour.steps]
     if options.out is not None:
         write_tour(options.out, plans, tour.stops, tour.assumed, tour.status)
@@ -259,27 +256,6 @@ def _deliver(tour: Tour, options: Options) -> None:
         say(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))
     else:
         say(_summary(tour, options))
-
-
-def with_files(tour: Tour, out: Path) -> Tour:
-    """Write the scenes in which something has been moved, so that plans can name them."""
-    from momapos.model.scene import copied, save_scene
-
-    steps: list[PlacementResult] = []
-    files: dict[int, Path] = {}
-    for number, (step, scene) in enumerate(zip(tour.steps, tour.scenes, strict=False), 1):
-        if scene.path is None:
-            if id(scene) not in files:
-                file = files[id(scene)] = out.with_name(f"{out.stem}_room_{number}.json")
-                if file.is_file():  # of an earlier answer
-                    file.unlink()
-                    shutil.rmtree(file.with_name(f"{file.stem}_files"), ignore_errors=True)
-                with copied(scene, file) as own:
-                    save_scene(own, file)
-            plan = replace(step.plan, scene=str(files[id(scene)]), scene_joints={})
-            step = replace(step, plan=plan)
-        steps.append(step)
-    return replace(tour, steps=tuple(steps))
 
 
 def _summary(tour: Tour, options: Options) -> str:
