@@ -132,10 +132,10 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
         ', {{"name": "{}", "category": "item", "pose": {{"xyz": {}, "wxyz": [1, 0, 0, 0]}},'
         ' "box": {}}}'
     )
-    extra = {  # a post before the door; a cup 2 cm below a board
+    extra = {  # a post before the door; a cup 5 mm below a board
         "open": item.format("post", [-0.1, -0.6, 0.6], [0.04, 0.04, 0.04]),
         "pick": item.format("cup", [0, -1.5, 0.75], [0.05, 0.05, 0.1])
-        + item.format("board", [0, -1.5, 0.83], [0.3, 0.3, 0.02])
+        + item.format("board", [0, -1.5, 0.815], [0.3, 0.3, 0.02])
         + item.format("table", [0, -1.5, 0.35], [0.6, 0.6, 0.7]),
     }[verb]
     scene = cabinet_room(tmp_path, extra=extra)
@@ -147,7 +147,7 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
         assert reason.startswith("cabinet/door hits post/box at ")
         assert reason.endswith(" deg, moving from 0 to 90 deg")
     else:
-        assert reason == "cup/box hits board/box when lifted by 0.03 of 0.05 m"
+        assert reason == "cup/box hits board/box when lifted by 0.01 of 0.05 m"
 
 
 class Ending:
