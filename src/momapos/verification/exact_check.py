@@ -176,7 +176,9 @@ class PlanVerifier:
         self._part_base = all_pairs(len(self.part.shapes), len(self._base))
         on_part = all_pairs(len(self._arm), len(self.part.shapes))
         on_gripper = self.robot_model.gripper[on_part[:, 0]]
-        self._arm_part = on_part[~on_gripper]
+        # The hand holds the part, and nothing that rests on it.
+        loose = own.loose[own.of_part[on_part[:, 1]]]
+        self._arm_part = on_part[~on_gripper | loose]
         self._measured: tuple[tuple[float, float, float], Motion, MeasuredLoads] | None = None
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:

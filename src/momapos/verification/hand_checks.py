@@ -435,11 +435,13 @@ def _overlap(
 class _Surface:
     """The elements of a part as convex pieces, which are computed where a hand comes near.
 
-    What is drawn but does not collide counts only where a hand holds nothing else.
+    What rests on the part is not held. What is drawn but does not collide counts only where a hand
+    holds nothing else.
     """
 
     def __init__(self, part: MovedPart, model: Articulated) -> None:
         self._part, self._model = part, model
+        self._links = [name for name in part.links if name not in model.contents]
         self._joined: dict[tuple[_Element, ...], Shapes] = {}
 
     def near(
@@ -460,11 +462,7 @@ class _Surface:
     def _solid(self) -> _Elements:
         links = self._model.urdf.links
         return self._bounded(
-            [
-                (name, k, False)
-                for name in self._part.links
-                for k in range(len(links[name].collisions))
-            ]
+            [(name, k, False) for name in self._links for k in range(len(links[name].collisions))]
         )
 
     @cached_property
@@ -473,7 +471,7 @@ class _Surface:
         return self._bounded(
             [
                 *solid,
-                *((n, k, True) for n in self._part.links for k in range(len(links[n].visuals))),
+                *((n, k, True) for n in self._links for k in range(len(links[n].visuals))),
             ]
         )
 

@@ -15,6 +15,7 @@ from momapos.core.errors import SceneError, UnknownNameError
 from momapos.model.plan_files.plan_format import write_plan
 from momapos.model.robots.robot import Robot
 from momapos.model.scene.contents import resting_on
+from momapos.model.scene.other_motion import as_planned
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
@@ -22,6 +23,7 @@ from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_base_placement
 from momapos.planning.plan import plan_to_value
 from momapos.planning.query import PlacementQuery
+from momapos.verification.exact_check import PlanVerifier
 from momapos.verification.plan_check import verify_files
 
 BOTTOM = 0.53
@@ -140,6 +142,23 @@ def test_a_bottle_in_the_shelf_of_a_door_swings_with_it(tmp_path: Path, segway: 
     poses = loaded.link_poses({"hinge": 1.0})
     there = scene.with_joint("cupboard", "hinge", 1.0).object("bottle")
     np.testing.assert_allclose(poses["bottle"], there.T_world_object, atol=1e-12)
+
+
+def test_the_hand_may_touch_the_part_and_nothing_that_rests_on_it(
+    tmp_path: Path, segway: Robot
+) -> None:
+    room = furniture_room(tmp_path, [carcass(), DOOR, SHELF])
+    bottle = item("bottle", 0.2, (0.585, -0.1, 0.36), 0.06)
+    scene = replace(room, objects=(*room.objects, bottle))
+    plan = plan_base_placement(scene, segway, make_task(scene, "open", "cupboard/hinge")).plan
+    assert plan.base_pose is not None
+    assert plan.motion is not None
+    # A box where the fingers are, on the part by statement.
+    x, y, z = plan.motion.Ts_world_tool[0, :3, 3].tolist()
+    near = replace(item("near", 0.1, (x, y, z - 0.05), 0.05), on="cupboard/door")
+    loaded = as_planned(replace(room, objects=(*room.objects, near)), plan)
+    report = PlanVerifier(loaded, segway, plan.task).check(plan.base_pose, plan.motion)
+    assert [check.name for check in report.violations] == ["arm collision with the scene"]
 
 
 def test_what_stands_on_a_flap_would_fall(tmp_path: Path, fetch: Robot) -> None:
