@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.commands import error_of, json_of
 
-from momapos.core.errors import TaskError, UnknownNameError
+from momapos.core.errors import OutOfTimeError, TaskError, UnknownNameError
 from momapos.core.geometry import invert
 from momapos.model.plan_files.plan_format import read_plan
 from momapos.model.plan_files.tour_format import read_tour
@@ -18,6 +18,7 @@ from momapos.model.robots.robot import Robot
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
+from momapos.planning.config import PipelineConfig
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.spots import EDGE, ROOM, spots_for
 from momapos.planning.tour import Request
@@ -148,3 +149,18 @@ def test_an_object_that_no_hand_holds_has_its_own_reason(table: Scene, fetch: Ro
 def test_bring_needs_a_place() -> None:
     words = error_of("place", "pick", "kitchen_small", "cup", "then", "bring", "cup")
     assert "bring cup needs a place: an object or a part of it" in words
+
+
+@pytest.mark.parametrize("timeout", [0.05, 0.4, 60.0])
+def test_an_answer_about_a_closed_container_is_no_or_late(
+    kitchen: Scene, fetch: Robot, timeout: float
+) -> None:
+    request, config = (
+        [Request("bring", "bottle", None, "dishwasher")],
+        PipelineConfig(timeout=timeout),
+    )
+    try:
+        status = plan_tour(kitchen, fetch, request, config=config).status
+    except OutOfTimeError:
+        status = "timeout"
+    assert status == "infeasible" if timeout > 1.0 else status in ("infeasible", "timeout")

@@ -34,7 +34,7 @@ from momapos.planning.placement import (
 from .base_pose_check import BasePoseChecks, plan_at_pose
 from .carries import MAX_CHOICES, Carry, carries_for, refuse_place
 from .config import PipelineConfig
-from .max_opening import by_samples
+from .max_opening import MIN_TIMEOUT, by_samples
 from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
 from .plan import plan_placement
 from .query import PlacementQuery
@@ -153,13 +153,26 @@ def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     if picks:
         passes.insert(0, (by_samples(query.config), MAX_CHOICES))
     for config, most in passes:
-        for tour in islice(_tours(replace(query, config=config), requests, picks, began), most):
-            best = tour if best is None or _solved_tasks(tour) >= _solved_tasks(best) else best
+        tours = _tours(replace(query, config=config), requests, picks, began)
+        try:
+            for tour in islice(tours, most):
+                best = tour if best is None or _solved_tasks(tour) >= _solved_tasks(best) else best
+        except OutOfTimeError:
+            if best is None:
+                raise
+            best = _late(best)
         if best is not None and best.steps[-1].plan.status != "infeasible":
             break
-    if best is None:
-        raise OutOfTimeError
+    assert best is not None
     return replace(best, seconds=clock() - began)
+
+
+def _late(tour: Tour) -> Tour:
+    """Return a tour whose last task has no plan yet, rather than none."""
+    *done, last = tour.steps
+    if last.plan.feasible:
+        return tour
+    return replace(tour, steps=(*done, replace(last, plan=replace(last.plan, status="timeout"))))
 
 
 def _tours(
@@ -387,7 +400,8 @@ class _Planner:
             left = max(self.deadline - self.clock(), 1e-3)
             share = 1.0 if last == first else SHARED_POSE_SHARE / tasks
             try:
-                found = self._from_one_pose(first, last, start, in_others, share * left)
+                limit = max(share * left, MIN_TIMEOUT)
+                found = self._from_one_pose(first, last, start, in_others, limit)
             except OutOfTimeError:
                 if last == first:
                     raise
@@ -411,7 +425,10 @@ class _Planner:
         rigid = [k for k in range(first, last + 1) if self.scenes[k][1].joint is None]
         if len(rigid) < 2:
             return True
-        every = [reachable_rectangle(self._checks_of(k).prepared.geometry) for k in rigid]
+        tasks = [self._checks_of(k).prepared for k in rigid]
+        if any(task.infeasible_reason for task in tasks):
+            return False
+        every = [reachable_rectangle(task.geometry) for task in tasks]
         boxes = np.array([box for box in every if box is not None])
         return len(boxes) < len(every) or bool((boxes[:, 0].max(0) < boxes[:, 1].min(0)).all())
 
