@@ -19,6 +19,8 @@ from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.task_motions import task_motion
+from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import plan_tour
 from momapos.planning.spots import EDGE, ROOM, spots_for
 from momapos.planning.tour import Request
@@ -164,3 +166,13 @@ def test_an_answer_about_a_closed_container_is_no_or_late(
     except OutOfTimeError:
         status = "timeout"
     assert status == "infeasible" if timeout > 1.0 else status in ("infeasible", "timeout")
+
+
+def test_one_grasp_of_a_rigid_object_runs_stored_machine_code(kitchen: Scene, fetch: Robot) -> None:
+    """A read-only array has another type: its kernels would be compiled for it, in 30 s."""
+    task = make_task(kitchen, "pick", "bottle")
+    motion = task_motion(kitchen, fetch, task, PipelineConfig().motion)
+    one = motion.only(np.arange(len(motion.Ts_world_tool)) == 0)
+    for array in one.hand_loads:
+        assert array.flags.c_contiguous
+        assert array.flags.writeable

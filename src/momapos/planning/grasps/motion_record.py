@@ -258,7 +258,8 @@ class TaskMotion:
         held = np.flatnonzero(self.closed)
         if self.weight is not None:
             force[:, held, 2] = -GRAVITY * self.weight.mass
-            return force, np.broadcast_to(self.weight.center[self.value], point.shape)
+            # A copy: kernels are compiled for arrays that can be written to.
+            return force, np.broadcast_to(self.weight.center[self.value], point.shape).copy()
         if self.effort is None or len(held) < 2:
             return force, point
         q = self.object_q[held]
