@@ -176,3 +176,15 @@ def test_one_grasp_of_a_rigid_object_runs_stored_machine_code(kitchen: Scene, fe
     for array in one.hand_loads:
         assert array.flags.c_contiguous
         assert array.flags.writeable
+
+
+def test_an_object_is_let_down_less_far_under_a_shelf_than_it_was_lifted(fetch: Robot) -> None:
+    carton = SceneObject.box("carton", (0.06, 0.1, 0.25), (0.0, 1.0, 0.825))
+    table = SceneObject.box("table", (0.6, 0.5, 0.7), (0.0, 1.2, 0.35))
+    board = SceneObject.box("board", (0.8, 0.35, 0.02), (2.0, 1.2, 0.69))
+    roof = SceneObject.box("roof", (0.8, 0.35, 0.02), (2.0, 1.2, 1.01))
+    scene = Scene("room", (carton, table, board, roof), start=np.array([1.0, -1.0, 1.57]))
+    tour = plan_tour(scene, fetch, [Request("bring", "carton", None, "2.0,1.1,0.7")])
+    assert tour.status == "solved"
+    lifts = [step.prepared.motion.lift for step in tour.steps]
+    assert lifts == pytest.approx([0.05, 0.03])

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core import InputError
-from momapos.planning.grasps import TaskMotion, hand_path, task_motion
+from momapos.planning.grasps import TaskMotion, hand_path, lift_of, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
@@ -69,7 +69,11 @@ def _with_first_handle(query: PlacementQuery) -> PlacementResult:
         path = hand_path(scene, task.object, task.joint, task.to)
         ranked = rank(scene, task.object, config.ranking, path=path, seed=query.seed)
     with watch.stage("model"):
-        motion = task_motion(scene.with_box_proxies({task.object}), robot, task, config.motion)
+        how = config.motion
+        if task.joint is None and how.lift is None:
+            # In the scene as it is: a shelf that is a box leaves no room.
+            how = replace(how, lift=lift_of(scene, task.object))
+        motion = task_motion(scene.with_box_proxies({task.object}), robot, task, how)
     selection = initial_selection(query, ranked, motion)
     first = _search(query, selection, motion)
     result = unless_late(lambda: _with_larger_models(query, selection, motion, first), first)

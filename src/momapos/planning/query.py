@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypedDict
@@ -27,7 +27,7 @@ from momapos.core import (
 from momapos.model.records import ANYWHERE, BaseRegion, PoseOutcome, ReachScorer, Task
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.grasps import GraspFilter, lift_of
+from momapos.planning.grasps import GraspFilter
 from momapos.planning.navigation import (
     ConvexPolygons,
     NavigationMap,
@@ -139,11 +139,6 @@ class PlacementQuery:
         object.__setattr__(self, "reach", checked_reach(self.reach))
         expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
         expect("region", self.region, BaseRegion)
-        motion = self.config.motion
-        if self.task.joint is None and motion.lift is None:
-            # Decided once, in the scene as it is: where objects are boxes, a shelf has no room.
-            motion = replace(motion, lift=lift_of(self.scene, self.task.object))
-            object.__setattr__(self, "config", replace(self.config, motion=motion))
         for name in ("keep_poses", "keep_grasps", "final_check", "pose_cost"):
             if getattr(self, name) is not None:
                 expect_callable(name, getattr(self, name))

@@ -459,7 +459,7 @@ def _rigid_motion(
         own=own_poses(robot, target.name, None),
     )  # fmt: skip
     Ts_object_tool = chosen.Ts_part_tool
-    lift = LIFT_HEIGHT if config.lift is None else config.lift
+    lift = lift_of(scene, task.object) if config.lift is None else config.lift
     lifts = np.linspace(0.0, lift, SUBSTEPS + 1)
     Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
     Ts_world_object[:, 2, 3] += lifts
