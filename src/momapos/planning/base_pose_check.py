@@ -23,7 +23,7 @@ from momapos.planning.placement import (
 )
 
 from .any_grasp import narrower_hands, with_other_handles_only
-from .carrying import Carrying
+from .carrying import SAME_GRASP, Carrying
 from .max_opening import from_the_top, values_short_of
 from .query import PlacementQuery
 from .regrasp import TwoGrasps, iter_two_grasps
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 _SAME_FOR_ALL_HANDLES = (PoseStatus.BASE_BLOCKED, PoseStatus.OFF_FLOOR)
 """Outcomes of a base pose that no other handle changes."""
-_SAME_GRASP = 1e-3
-"""Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 MAX_VALUES_IN_TURN = 100
 """Number of values that are tried one by one at a pose; if there are more, in larger steps [-]."""
 
@@ -286,7 +284,7 @@ class BasePoseChecks:
             grasps = one.prepared.motion.Ts_world_tool[:, one.prepared.motion.grasp_step]
             away.append(float(np.abs(grasps - motion.Ts_world_tool[0]).sum((1, 2)).min()))
             every.append(one)
-            if away[-1] < _SAME_GRASP:
+            if away[-1] < SAME_GRASP:
                 break
         return every[int(np.argmin(away))]
 

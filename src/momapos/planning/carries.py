@@ -10,12 +10,18 @@ import numpy as np
 from momapos.core import TaskError
 from momapos.core.geometry import compose, invert, latin_hypercube
 from momapos.model.records import PlacementPlan, Task
-from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.arm_motion import payload_hits_at_home
 from momapos.planning.grasps import GraspFilter, TaskMotion
-from momapos.planning.placement import BaseStatus, base_pose_status, sampling_box, task_frame
+from momapos.planning.placement import (
+    BaseStatus,
+    PlacementGeometry,
+    base_pose_status,
+    sampling_box,
+    task_frame,
+)
 
+from .carrying import SAME_GRASP
 from .query import PlacementQuery
 from .spots import spots_for
 from .task_setup import PreparedTask, prepare
@@ -31,10 +37,6 @@ ALONE = 3
 """Number of grasps that are tried alone at one spot [-]."""
 SAMPLES = 1024
 """Base poses from which the reach of each grasp is counted [-]."""
-UPRIGHT = 0.5
-"""Upward component of a slide's axis from which on it lifts the arm [-]."""
-SAME_GRASP = 1e-3
-"""Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,7 @@ def carries_for(query: PlacementQuery, scene: Scene, name: str, place: str | Non
     if place is not None:
         start = query.start if query.start is not None else scene.start
         near = None if start is None else start[:2]
-        goals = spots_for(scene, item, place, start=near, heights=_heights(query.robot))
+        goals = spots_for(scene, item, place, start=near, heights=_heights(pick.geometry))
     picks = _grasps(pick.motion, item.T_world_object)
     within = _reached(query, pick)
     together, alone = list[Carry](), list[Carry]()
@@ -137,13 +139,9 @@ def _same(
     return np.asarray(np.abs(Ts[:, None] - others[None]).sum((2, 3)) < SAME_GRASP)
 
 
-def _heights(robot: Robot) -> tuple[float, float]:
+def _heights(geometry: PlacementGeometry) -> tuple[float, float]:
     """Return the heights that a robot's hand can reach [m]."""
-    chain = robot.chain
-    first = chain.first_turn
-    shoulder = float((chain.d[: first + 1].sum(0) + chain.middle[:first] @ chain.h[:first])[2])
-    up = np.abs(chain.h[:first, 2]) > UPRIGHT
-    reach = robot.reach + float(chain.half_travel[:first][up].sum())
+    shoulder, reach = float(geometry.shoulder[2]), geometry.robot.reach + geometry.lift
     return shoulder - reach, shoulder + reach
 
 

@@ -41,7 +41,7 @@ STATES = 3
 """Number of states that are tried for each measure, smallest first [-]."""
 
 
-_SAME_GRASP = 1e-3
+SAME_GRASP = 1e-3
 """Sum of the differences of two tool poses below which they are the same grasp [-] and [m]."""
 
 
@@ -188,7 +188,7 @@ def grasp_of(plan: PlacementPlan) -> GraspFilter:
 def _only(T_world_tool: Float[np.ndarray, "4 4"]) -> GraspFilter:
     def same(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
         away = np.abs(motion.Ts_world_tool[:, motion.grasp_step] - T_world_tool).sum((1, 2))
-        return np.asarray(away < _SAME_GRASP)
+        return np.asarray(away < SAME_GRASP)
 
     return same
 

@@ -171,7 +171,7 @@ def test_what_stands_on_a_flap_would_fall(tmp_path: Path, fetch: Robot) -> None:
 
 
 def test_without_contents_the_scene_stays_the_same(tmp_path: Path, segway: Robot) -> None:
-    scene = drawer_room(tmp_path, item("beside", 0.2, (0.0, 2.0, 0.0)))
+    scene = drawer_room(tmp_path, item("apart", 0.2, (0.0, 2.0, 0.0)))
     assert scene.with_contents("cupboard", "slide") is scene
     query = PlacementQuery.of(scene, segway, make_task(scene, "open", "cupboard/slide"))
     assert query.scene is scene

@@ -74,7 +74,7 @@ class Wheel:
     rollers: bool = False
     """Whether it has rollers, or a name says that it is omnidirectional."""
     fixed: bool = False
-    """Whether the file fixes it, so that its shape tells the axle."""
+    """Whether the file fixes it, so that its shape gives the axle."""
 
     @property
     def ahead(self) -> Float[np.ndarray, "2"]:
