@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -13,17 +12,20 @@ import pytest
 from tests import optional
 from tests.real import DATA
 
-from momapos.apps.bench import dining_rooms, paper_rooms, suites
-from momapos.apps.bench.bench_records import Container, SuiteTask
+from momapos.apps.bench import dining_rooms, folder, paper_rooms, suites
+from momapos.apps.bench.bench_records import Container, Settings, SuiteTask
 from momapos.apps.bench.dining_rooms import (
     ACCEPTED,
     MICROWAVE,
     OBJECT_SIZES,
     PLACES,
     DiningRoom,
+    known_room,
     make_room,
     microwave_on,
+    room_name,
     room_stream,
+    stored_rooms,
 )
 from momapos.apps.bench.methods import opened, without
 from momapos.apps.bench.paper_rooms import (
@@ -35,6 +37,7 @@ from momapos.apps.bench.paper_rooms import (
     laboratory_tasks,
 )
 from momapos.apps.bench.suites import (
+    ROOMS,
     SMOKE_TASKS,
     SUITES,
     _tasks_of_room,
@@ -106,9 +109,19 @@ def test_tasks_are_spread_over_groups_as_evenly_as_possible() -> None:
 
 
 @pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> DiningRoom:
-    out = tmp_path_factory.mktemp("room") / "room.json"
-    return make_room("single_wall", np.random.default_rng([0, 0]), out)
+def drawn_files(tmp_path_factory: pytest.TempPathFactory) -> tuple[DiningRoom, Path]:
+    out = tmp_path_factory.mktemp("room") / room_name(0)
+    return make_room("single_wall", np.random.default_rng([0, 0]), out), out
+
+
+@pytest.fixture(scope="module")
+def drawn(drawn_files: tuple[DiningRoom, Path]) -> DiningRoom:
+    return drawn_files[0]
+
+
+@pytest.fixture(scope="module")
+def room_file(drawn_files: tuple[DiningRoom, Path]) -> Path:
+    return drawn_files[1]
 
 
 def boxes_overlap(one: SceneObject, other: SceneObject) -> bool:
@@ -118,9 +131,9 @@ def boxes_overlap(one: SceneObject, other: SceneObject) -> bool:
 
 
 def test_a_room_has_objects_in_every_place_and_none_overlap(
-    drawn: DiningRoom, segway: Robot
+    drawn: DiningRoom, room_file: Path, segway: Robot
 ) -> None:
-    scene = load_scene(drawn.file)
+    scene = load_scene(room_file)
     assert set(Counter(item.place for item in drawn.objects)) == set(PLACES)
     items = [scene.object(item.name) for item in drawn.objects]
     for one, other in combinations(items, 2):
@@ -130,8 +143,8 @@ def test_a_room_has_objects_in_every_place_and_none_overlap(
         assert PlanVerifier(scene, segway, task).blocked(0.0) is None
 
 
-def test_objects_are_inside_their_containers(drawn: DiningRoom) -> None:
-    scene = load_scene(drawn.file)
+def test_objects_are_inside_their_containers(drawn: DiningRoom, room_file: Path) -> None:
+    scene = load_scene(room_file)
     for item in drawn.objects:
         low, high = scene.object(item.name).bounds
         kind = item.name.rpartition("_")[0]
@@ -142,8 +155,10 @@ def test_objects_are_inside_their_containers(drawn: DiningRoom) -> None:
             assert (high < around[1]).all()
 
 
-def test_objects_in_a_drawer_move_with_it_and_no_other_objects_do(drawn: DiningRoom) -> None:
-    scene = load_scene(drawn.file)
+def test_objects_in_a_drawer_move_with_it_and_no_other_objects_do(
+    drawn: DiningRoom, room_file: Path
+) -> None:
+    scene = load_scene(room_file)
     in_drawer = [item for item in drawn.objects if item.place == "in drawer"]
     box = in_drawer[0].inside
     carried = drawn.carried(box)
@@ -166,8 +181,8 @@ def _positions_in(scene: Scene, box: Container, carried: tuple[str, ...]) -> dic
     return {name: tuple(np.round(position, 4)) for name, position in positions.items()}  # type: ignore[misc]
 
 
-def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
-    scene = load_scene(drawn.file)
+def test_every_task_of_a_room_is_valid(drawn: DiningRoom, room_file: Path) -> None:
+    scene = load_scene(room_file)
     tasks = list(_tasks_of_room(drawn, "room.json", "00"))
     assert {task.group for task in tasks} == {
         *PLACES, "open fridge", "open drawer", "open dishwasher", "open microwave"
@@ -181,9 +196,9 @@ def test_every_task_of_a_room_is_valid(drawn: DiningRoom) -> None:
 
 
 def test_a_microwave_is_hinged_on_the_left_and_its_door_can_swing(
-    drawn: DiningRoom, segway: Robot
+    room_file: Path, segway: Robot
 ) -> None:
-    scene = load_scene(drawn.file)
+    scene = load_scene(room_file)
     oven = scene.object(MICROWAVE)
     task = make_task(scene, "open", MICROWAVE)
     assert task.to == pytest.approx(np.pi / 2)
@@ -220,10 +235,57 @@ def test_a_microwave_fits_no_countertop_without_clearance_for_its_door(yaw: floa
     assert microwave_on([], [counter], rng) is None
 
 
-def test_the_same_seed_draws_the_same_room(drawn: DiningRoom, tmp_path: Path) -> None:
-    again = make_room("single_wall", np.random.default_rng([0, 0]), tmp_path / "room.json")
-    assert (again.objects, again.parts) == (drawn.objects, drawn.parts)
-    assert again.file.read_bytes() == drawn.file.read_bytes()
+def test_the_same_seed_draws_the_same_room(
+    drawn: DiningRoom, room_file: Path, tmp_path: Path
+) -> None:
+    again = make_room("single_wall", np.random.default_rng([0, 0]), tmp_path / room_file.name)
+    assert again == drawn
+    assert (tmp_path / room_file.name).read_bytes() == room_file.read_bytes()
+
+
+def test_the_stored_contents_are_those_of_the_drawn_room(drawn: DiningRoom) -> None:
+    """If not: `python -m benchmarks.stored_rooms`."""
+    assert stored_rooms(dining_rooms.DEFAULT_SEED)[0] == drawn
+    assert not stored_rooms(1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(1, ROOMS))
+def test_all_stored_contents_are_those_of_drawn_rooms(number: int, tmp_path: Path) -> None:
+    rng, out = room_stream(dining_rooms.DEFAULT_SEED, number), tmp_path / room_name(number)
+    room = make_room(LAYOUTS[number % len(LAYOUTS)], rng, out)
+    assert stored_rooms(dining_rooms.DEFAULT_SEED)[number] == room
+
+
+def test_only_the_rooms_of_the_chosen_tasks_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = []
+
+    def draw(_: int, number: int) -> Path:
+        drawn.append(number)
+        home = tmp_path / f"room {number}"
+        home.mkdir()
+        (home / room_name(number)).write_text(str(number))
+        return home
+
+    def digest(path: Path) -> str:
+        return known_room(0, int(path.read_text())).digest
+
+    monkeypatch.setattr(dining_rooms, "drawn_room", draw)
+    monkeypatch.setattr(folder, "scene_digest", digest)
+    steps = []
+    for limit in (1, 2, 2, None):
+        made = folder.open_folder(
+            tmp_path / "out", "paper-sim", 0, (), Settings(), limit,
+            lambda share, what: steps.append((share, what)),
+        )  # fmt: skip
+        needed = {task.scene for task in made.suite.limited(limit)}
+        assert {f"scenes/{room_name(number)}" for number in drawn} == needed
+    assert sorted(drawn) == list(range(ROOMS))
+    assert all((tmp_path / "out" / name).exists() for name in made.suite.scenes)
+    assert (0.0, "room 1 of 1") in steps
+    assert all(task in made.suite.limited(5) for task in made.suite.limited(3))
 
 
 @pytest.mark.parametrize(
@@ -254,7 +316,7 @@ def test_a_stored_random_state_skips_only_kitchens_that_are_rejected(
 
 
 def test_a_room_is_drawn_once_and_a_failed_drawing_leaves_nothing(
-    drawn: DiningRoom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drawn: DiningRoom, room_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MOMAPOS_CACHE", str(tmp_path / "cache"))
     calls = []
@@ -265,21 +327,23 @@ def test_a_room_is_drawn_once_and_a_failed_drawing_leaves_nothing(
             out.parent.mkdir()
             out.write_text("half")
             raise KeyboardInterrupt
-        shutil.copytree(drawn.file.parent, out.parent)
-        (out.parent / drawn.file.name).rename(out)
-        return replace(drawn, file=out)
+        shutil.copytree(room_file.parent, out.parent)
+        (out.parent / room_file.name).rename(out)
+        return drawn
 
     monkeypatch.setattr(dining_rooms, "make_room", draw)
     with pytest.raises(KeyboardInterrupt):
-        dining_rooms.drawn_room(0, 3)
+        dining_rooms.drawn_room(1, 3)
     assert not list((tmp_path / "cache" / "rooms").iterdir())
-    copies = [dining_rooms.copied_room(0, 3, tmp_path / name) for name in "ab"]
+    for name in "ab":
+        dining_rooms.copy_room(1, 3, tmp_path / name)
+        assert {path.name for path in (tmp_path / name).iterdir()} == {"room_00_urdf", room_name(3)}
+        objects = {item.name for item in load_scene(tmp_path / name / room_name(3)).objects}
+        assert objects >= {item.name for item in drawn.objects}
     assert len(calls) == 2
     assert calls[0] == calls[1]
-    for copy, name in zip(copies, "ab", strict=True):
-        assert copy == replace(drawn, file=tmp_path / name / "room_03.json")
-        assert {o.name for o in load_scene(copy.file).objects} >= {o.name for o in drawn.objects}
-    dining_rooms.copied_room(1, 3, tmp_path / "c")
+    assert known_room(1, 3) == drawn
+    dining_rooms.copy_room(2, 3, tmp_path / "c")
     assert len(calls) == 3  # another seed is another room
 
 

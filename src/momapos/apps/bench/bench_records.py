@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import random
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import msgspec
@@ -24,6 +28,7 @@ turning the hand about the handle; all: every grasp of momapos."""
 Pose = tuple[float, float, float]
 """x [m], y [m], yaw [rad]."""
 Record = TypeVar("Record")
+_URDF, _MESH = re.compile(r'"urdf": "([^"]+)"'), re.compile(r'<mesh[^>]*filename="([^"]+)"')
 
 
 @dataclass(frozen=True)
@@ -101,6 +106,18 @@ class Suite:
     scenes: Mapping[str, str]
     """Content hash of every scene with its models, by the name in the tasks."""
     tasks: tuple[SuiteTask, ...]
+
+    def limited(self, limit: int | None) -> list[SuiteTask]:
+        """Draw some tasks, in their order; a larger number includes the same tasks.
+
+        Args:
+            limit: Number of tasks; None for all.
+        """
+        order = list(range(len(self.tasks)))
+        if limit is not None:
+            random.Random(self.seed).shuffle(order)
+            order = sorted(order[:limit])
+        return [self.tasks[k] for k in order]
 
 
 @dataclass(frozen=True)
@@ -209,3 +226,17 @@ def from_plain(data: object, kind: type[Record], where: str) -> Record:
         return msgspec.convert(data, kind, strict=False)
     except msgspec.ValidationError as error:
         raise FileFormatError(f"{where}: not a usable {kind.__name__}: {error}") from error
+
+
+def scene_digest(path: Path) -> str:
+    """Return a content hash of a scene file and its models; a mesh may be missing."""
+    text = path.read_text(encoding="utf-8")
+    digest = hashlib.sha256(text.encode())
+    for urdf in sorted(set(_URDF.findall(text))):
+        model = path.parent / urdf
+        meshes = sorted(set(_MESH.findall(model.read_text(encoding="utf-8"))))
+        for name, file in ((urdf, model), *((mesh, model.parent / mesh) for mesh in meshes)):
+            digest.update(name.encode() + b"\n")
+            if file.is_file() or file == model:
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:32]

@@ -7,7 +7,9 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from momapos.core import (
     require,
     temporary_folder,
     version_of,
+    write_atomic,
 )
 from momapos.model.scene import LAYOUTS, empty_kitchen, free_start, with_joint_limits
 from momapos.model.scene.library import (
@@ -36,7 +39,7 @@ from momapos.model.scene.library import (
     write_kitchen,
 )
 
-from .bench_records import Container, from_plain, to_plain
+from .bench_records import Container, from_plain, scene_digest, to_plain
 
 MICROWAVE = "microwave"
 MIN_SIZE, MAX_SIZE = (0.46, 0.36, 0.27), (0.54, 0.42, 0.32)
@@ -168,6 +171,9 @@ the state of PCG64, and the half of its last word if that is still unused. 22 of
 rejected, each after 2 to 7 s. `make_room` draws on if another version of scene-synthesizer makes a
 kitchen that is rejected, too."""
 CONTENTS, MAX_BYTES = "contents.json", 1_000_000
+STORED = Path(__file__).with_name("dining_rooms.json")
+"""Contents of the rooms of the default seed, so that their tasks are known before they are drawn.
+`benchmarks/stored_rooms.py` writes it."""
 OPEN_SIDES = (("wall_front", 1, 0), ("wall_right", 0, 1), ("wall_left", 0, 0), ("wall_back", 1, 1))
 """Walls, and the edge of the floor at which they stand: axis, and 0 for its lower end."""
 
@@ -207,13 +213,19 @@ class RoomPart:
 class DiningRoom:
     """A room with its movable objects and its parts to open."""
 
-    file: Path
+    digest: str
+    """Content hash of the scene file with its models."""
     objects: tuple[MovableObject, ...]
     parts: tuple[RoomPart, ...]
 
     def carried(self, box: Container | None) -> tuple[str, ...]:
         """Return the names of the objects in a drawer; none for other containers."""
         return tuple(o.name for o in self.objects if o.place == "in drawer" and o.inside == box)
+
+
+def room_name(number: int) -> str:
+    """Return the name of a room's scene file."""
+    return f"room_{number:02d}.json"
 
 
 def drawn_room(seed: int, number: int) -> Path:
@@ -230,9 +242,8 @@ def drawn_room(seed: int, number: int) -> Path:
         home.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(home.parent, key) as temporary:
             rng, new = room_stream(seed, number), temporary / "new"
-            room = make_room(LAYOUTS[number % len(LAYOUTS)], rng, new / f"room_{number:02d}.json")
-            contents = {"objects": to_plain(room.objects), "parts": to_plain(room.parts)}
-            (new / CONTENTS).write_text(json.dumps(contents))
+            room = make_room(LAYOUTS[number % len(LAYOUTS)], rng, new / room_name(number))
+            (new / CONTENTS).write_text(json.dumps(to_plain(room)))
             if not home.exists():  # else another process was faster, with an equal result
                 os.rename(new, home)
     return home
@@ -249,17 +260,39 @@ def room_stream(seed: int, number: int) -> np.random.Generator:
     return rng
 
 
-def copied_room(seed: int, number: int, folder: Path) -> DiningRoom:
-    """Copy a room of the cache to a folder."""
-    home = drawn_room(seed, number)
-    shutil.copytree(home, folder, ignore=shutil.ignore_patterns(CONTENTS), dirs_exist_ok=True)
-    contents = json.loads(read_bytes_bounded(home / CONTENTS, MAX_BYTES))
-    where = str(home)
-    return DiningRoom(
-        folder / f"room_{number:02d}.json",
-        tuple(from_plain(one, MovableObject, where) for one in contents["objects"]),
-        tuple(from_plain(one, RoomPart, where) for one in contents["parts"]),
-    )
+@cache
+def stored_rooms(seed: int) -> tuple[DiningRoom, ...]:
+    """Return the rooms whose contents the package stores; none for what draws others.
+
+    Raises:
+        MissingExtraError: scene-synthesizer is not installed.
+    """
+    with require("kitchens"):
+        versions = drawn_by()
+    stored = json.loads(read_bytes_bounded(STORED, MAX_BYTES))
+    same = seed == DEFAULT_SEED and stored["versions"] == versions
+    return tuple(from_plain(one, DiningRoom, str(STORED)) for one in stored["rooms"] if same)
+
+
+def drawn_by() -> dict[str, Any]:
+    """Return what determines the rooms of a seed."""
+    return {"revision": REVISION, "scene-synthesizer": version_of("scene-synthesizer")}
+
+
+def known_room(seed: int, number: int) -> DiningRoom:
+    """Return the contents of a room: the stored ones, or those of the drawn room."""
+    stored = stored_rooms(seed)
+    if number < len(stored):
+        return stored[number]
+    file = drawn_room(seed, number) / CONTENTS
+    return from_plain(json.loads(read_bytes_bounded(file, MAX_BYTES)), DiningRoom, str(file))
+
+
+def copy_room(seed: int, number: int, folder: Path) -> None:
+    """Copy a room of the cache to a folder; its scene file comes last."""
+    home, name = drawn_room(seed, number), room_name(number)
+    shutil.copytree(home, folder, ignore=shutil.ignore_patterns(CONTENTS, name), dirs_exist_ok=True)
+    write_atomic(folder / name, (home / name).read_bytes())
 
 
 def make_room(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:
@@ -284,7 +317,8 @@ def make_room(layout: str, rng: np.random.Generator, out: Path) -> DiningRoom:
     objects = _place_objects(pieces, oven[1], rng)
     every = [*pieces, *(item for item, _ in objects)]
     write_kitchen(out, out.stem, every, dining[0], free_start(dining[0], every))
-    return DiningRoom(out, tuple(placed for _, placed in objects), tuple(_openable(pieces)))
+    inside = tuple(placed for _, placed in objects)
+    return DiningRoom(scene_digest(out), inside, tuple(_openable(pieces)))
 
 
 # ------------------------------------------------------------------------- dining area

@@ -14,7 +14,7 @@ import re
 import shutil
 import socket
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cache
@@ -33,8 +33,8 @@ from momapos.core import (
 )
 from momapos.model.scene import builtin_names, find_scene
 
-from .bench_records import Row, Settings, Suite, from_plain, to_plain
-from .suites import SUITES, refuse_unknown
+from .bench_records import Row, Settings, Suite, from_plain, scene_digest, to_plain
+from .suites import SUITES, Report, refuse_unknown, room_digests, write_rooms
 
 FORMAT_VERSION = 1
 """Value of SQLite's `user_version` in the file."""
@@ -176,7 +176,6 @@ FORMAT, VERSION = "momapos-bench", 1
 MAX_BYTES = 100_000_000
 PACKAGE = Path(__file__).parents[2]
 DEPENDS_ON = ("momapos", "numpy", "ompl")
-_URDF, _MESH = re.compile(r'"urdf": "([^"]+)"'), re.compile(r'<mesh[^>]*filename="([^"]+)"')
 
 
 @dataclass(frozen=True)
@@ -199,8 +198,18 @@ def versions() -> dict[str, str]:
     return {**{name: version_of(name) for name in DEPENDS_ON}, "code": digest.hexdigest()[:12]}
 
 
+def _silent(*_: object) -> None:
+    """Show no progress."""
+
+
 def open_folder(
-    folder: Path, name: str, seed: int, robots: Sequence[str], settings: Settings
+    folder: Path,
+    name: str,
+    seed: int,
+    robots: Sequence[str],
+    settings: Settings,
+    limit: int | None = None,
+    report: Report = _silent,
 ) -> Contents:
     """Open a results folder, or create it.
 
@@ -210,6 +219,8 @@ def open_folder(
         seed: Seed of its tasks.
         robots: Robots of the run; the suite's robots if empty.
         settings: Settings for every task.
+        limit: Number of tasks, drawn from the suite, whose rooms are written; None for all.
+        report: Shows the progress of drawing rooms.
 
     Raises:
         UnknownNameError: There is no such suite or robot.
@@ -220,7 +231,7 @@ def open_folder(
     chosen = tuple(dict.fromkeys(robots)) or kind.robots
     check_outputs(folders=[folder])
     if not (folder / "suite.json").exists():
-        _make(folder, name, seed, chosen, settings)
+        _make(folder, name, seed, chosen, settings, report)
     found = read_folder(folder)
     suite = found.suite
     differences = (
@@ -245,7 +256,10 @@ def open_folder(
                 f"{folder}: contains results of {package} {found.versions.get(package, '?')}, but "
                 f"this is {version}; use another folder ('momapos bench report' still reads it)"
             )
-    _refuse_changed_scenes(folder, suite)
+    needed = {task.scene for task in suite.limited(limit)}
+    if kind.rooms:
+        write_rooms(seed, needed, folder, report)
+    _refuse_changed_scenes(folder, suite, needed)
     return found
 
 
@@ -316,30 +330,26 @@ def scene_path(folder: Path, name: str) -> Path:
     return find_scene(name if name in builtin_names() else folder / name)
 
 
-def scene_digest(path: Path) -> str:
-    """Return a content hash of a scene file and its models; a mesh may be missing."""
-    text = path.read_text(encoding="utf-8")
-    digest = hashlib.sha256(text.encode())
-    for urdf in sorted(set(_URDF.findall(text))):
-        model = path.parent / urdf
-        meshes = sorted(set(_MESH.findall(model.read_text(encoding="utf-8"))))
-        for name, file in ((urdf, model), *((mesh, model.parent / mesh) for mesh in meshes)):
-            digest.update(name.encode() + b"\n")
-            if file.is_file() or file == model:
-                digest.update(file.read_bytes())
-    return digest.hexdigest()[:32]
-
-
-def _make(folder: Path, name: str, seed: int, robots: tuple[str, ...], settings: Settings) -> None:
-    """Build a suite and write all of it, or nothing."""
+def _make(
+    folder: Path,
+    name: str,
+    seed: int,
+    robots: tuple[str, ...],
+    settings: Settings,
+    report: Report,
+) -> None:
+    """Build a suite and write it without its rooms, or nothing."""
     kind = SUITES[name]
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with temporary_folder(folder, "suite") as new:
             objects = (Path(settings.problems),) if kind.needs_objects else ()
+            known = room_digests(seed, report) if kind.rooms else {}
             tasks = tuple(kind.build(seed, robots, new, *objects))
             names = sorted({task.scene for task in tasks})
-            scenes = {scene: scene_digest(scene_path(new, scene)) for scene in names}
+            scenes = {
+                scene: known.get(scene) or scene_digest(scene_path(new, scene)) for scene in names
+            }
             suite = Suite(name, kind.revision, seed, robots, kind.methods, scenes, tasks)
             if (new / "scenes").exists():
                 shutil.rmtree(folder / "scenes", ignore_errors=True)
@@ -359,10 +369,10 @@ def _digest(suite: Suite) -> str:
     return hashlib.sha256(json.dumps(to_plain(suite), sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _refuse_changed_scenes(folder: Path, suite: Suite) -> None:
-    for name, digest in suite.scenes.items():
+def _refuse_changed_scenes(folder: Path, suite: Suite, names: Collection[str]) -> None:
+    for name in sorted(names):
         try:
-            same = scene_digest(scene_path(folder, name)) == digest
+            same = scene_digest(scene_path(folder, name)) == suite.scenes[name]
         except OSError as error:
             raise InputError(f"{folder}: {name}: cannot be read ({error.strerror})") from error
         if not same:

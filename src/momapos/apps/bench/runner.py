@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import random
 import select
 import socket
 import subprocess
@@ -240,21 +239,16 @@ def jobs_of(
         folder: Folder with the suite's scene files.
         settings: Settings for every task.
         versions: Versions that rows depend on.
-        limit: Number of tasks, drawn from the suite; a larger number includes the same tasks.
+        limit: Number of tasks, drawn from the suite; None for all.
         record: Folder for the records of executed tasks; "" for none.
     """
-    order = list(range(len(suite.tasks)))
-    if limit is not None:
-        random.Random(suite.seed).shuffle(order)
-        order = sorted(order[:limit])
-    tasks = [suite.tasks[k] for k in order]
     same = (sorted(versions.items()), settings)
     return [
         Job(
             content_key(task, suite.scenes[task.scene], method, protocol, *same),
             str(folder.absolute()), task, method, settings, protocol, record,
         )
-        for task in tasks
+        for task in suite.limited(limit)
         for protocol in settings.protocols
         for method in methods
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -80,8 +80,8 @@ class SuiteKind:
     """The protocols of the suite; empty if the user chooses one."""
     needs_objects: bool = False
     """Whether its tasks need a folder of the user with objects."""
-    prepare: Callable[[int, Report], None] | None = None
-    """Draws into the cache what takes minutes, from a seed; an interrupted call is resumed."""
+    rooms: bool = False
+    """Whether its scenes are rooms of `dining_rooms`, each drawn when a task needs it."""
 
 
 def kitchen_tasks(robots: Sequence[str], seed: int) -> list[SuiteTask]:
@@ -139,14 +139,13 @@ def _openings(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
     return [task for task in kitchen_tasks(robots, seed) if task.verb == "open"]
 
 
-def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask]:
-    """Generate rooms, and spread the tasks evenly over the classes; all robots get the same."""
-    from .dining_rooms import copied_room
+def _paper_sim(seed: int, robots: Sequence[str], _: Path) -> list[SuiteTask]:
+    """Spread the tasks evenly over the classes; all robots get the same."""
+    from .dining_rooms import known_room
 
     by_group: dict[str, list[SuiteTask]] = {}
-    for k in range(ROOMS):
-        room = copied_room(seed, k, folder / "scenes")
-        for task in _tasks_of_room(room, f"scenes/{room.file.name}", f"{k:02d}"):
+    for k, scene in enumerate(_room_scenes()):
+        for task in _tasks_of_room(known_room(seed, k), scene, f"{k:02d}"):
             by_group.setdefault(task.group, []).append(task)
     chosen = spread(by_group, SIM_TASKS)
     return [
@@ -156,12 +155,41 @@ def _paper_sim(seed: int, robots: Sequence[str], folder: Path) -> list[SuiteTask
     ]
 
 
-def _draw_rooms(seed: int, report: Report) -> None:
-    from .dining_rooms import drawn_room
+def _room_scenes() -> list[str]:
+    from .dining_rooms import room_name
 
-    for k in range(ROOMS):
+    return [f"scenes/{room_name(k)}" for k in range(ROOMS)]
+
+
+def room_digests(seed: int, report: Report) -> dict[str, str]:
+    """Return the content hashes of all rooms; draw those that the package does not store.
+
+    An interrupted call is resumed.
+    """
+    from .dining_rooms import known_room
+
+    digests = {}
+    for k, scene in enumerate(_room_scenes()):
         report(k / ROOMS, f"room {k + 1} of {ROOMS}")
-        drawn_room(seed, k)
+        digests[scene] = known_room(seed, k).digest
+    return digests
+
+
+def write_rooms(seed: int, scenes: Collection[str], folder: Path, report: Report) -> None:
+    """Write those rooms of tasks that a folder lacks; draw what the cache lacks.
+
+    An interrupted call is resumed.
+    """
+    from .dining_rooms import copy_room
+
+    left = [
+        (k, scene)
+        for k, scene in enumerate(_room_scenes())
+        if scene in scenes and not (folder / scene).exists()
+    ]
+    for done, (k, scene) in enumerate(left):
+        report(done / len(left), f"room {done + 1} of {len(left)}")
+        copy_room(seed, k, (folder / scene).parent)
 
 
 def _tasks_of_room(room: DiningRoom, scene: str, number: str) -> Iterator[SuiteTask]:
@@ -230,7 +258,7 @@ SUITES = {
     ),
     "paper-sim": SuiteKind(
         _paper_sim, ("fetch", "segway_ur5e", "husky_ur5e"), PAPER_METHODS, 2, scannable=False,
-        prepare=_draw_rooms,
+        rooms=True,
     ),
     "paper-real": SuiteKind(_paper_real, ("ranger_rm63",), PAPER_METHODS),
     "paper-table": SuiteKind(

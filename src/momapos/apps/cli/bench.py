@@ -7,7 +7,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args
 
@@ -150,11 +150,11 @@ def bench_run(
     folder = "" if problems is None else str(resolved(problems))
     settings = Settings(timeout, task_limit, execute, scan, disturbances, protocols, folder)
     with locked(out), _executor(workers, scheduler) as (executor, width, do):
-        if (prepare := SUITES[suite].prepare) and not (out / "suite.json").exists():
-            with progress(f"{suite}: drawing the rooms") as report:
-                prepare(seed, report)
-        with busy(f"{suite}: preparing the tasks"):
-            made = open_folder(out, suite, seed, robots, settings)
+        with (
+            progress(f"{suite}: drawing the rooms") as report,
+            nullcontext() if SUITES[suite].rooms else busy(f"{suite}: preparing the tasks"),
+        ):
+            made = open_folder(out, suite, seed, robots, settings, limit or None, report)
         jobs = jobs_of(
             made.suite, chosen, out, settings, made.versions, limit or None,
             "" if record is None else str(record.absolute()),
