@@ -2,6 +2,7 @@
 
     python benchmarks/robots.py check SITE [--get] [--set development|test] [--only NAME ...]
         [--table] [--place 2] [--out FOLDER]
+    python benchmarks/robots.py makers SITE [--only NAME ...]
     python benchmarks/robots.py openings FILE [--scenes Kitchen.json ...] [--most 2] [--run 2]
     python benchmarks/robots.py self-collision [ROBOT ...]
 
@@ -13,6 +14,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
 import resource
 import subprocess
 import sys
@@ -161,6 +164,174 @@ MODELS = (
     Model("anymal_kinova", EXAMPLE, f"{ANYMAL}/robots/anymal-kinova.urdf", "other"),
     Model("b1_z1", EXAMPLE, "b1_description/urdf/b1-z1.urdf", "other"),
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Maker(Model):
+    """A file of a maker's repository, with what the maker says about the robot."""
+
+    drive: str = ""
+    """Drive, for mobile manipulators."""
+    joints: tuple[int, ...] = ()
+    """Joints of each arm, with a lift."""
+    opening: tuple[float, float] | None = None
+    """Bounds of the opening of the first hand [m]; None for tools that do not close."""
+    says: str = ""
+    """Expression that the output must match: a reason, or a fault of the file."""
+    environment: tuple[str, ...] = ()
+    """Environment variables, as NAME=VALUE."""
+
+
+def _package(name: str, folder: str) -> tuple[str, str]:
+    return ("--package", f"{name}={{site}}/{folder}")
+
+
+def _args(*words: str) -> tuple[str, ...]:
+    return tuple(part for word in words for part in ("--xacro-arg", word))
+
+
+LOCOBOT = "interbotix_ros_rovers/interbotix_ros_xslocobots/interbotix_xslocobot_descriptions"
+UR = _package("ur_description", "universal_robot/ur_description")
+MOVO = ("BODY", "KINOVA_ARM", "TWO_KINOVA_ARMS", "KINOVA_ARM_6DOF", "RIGHT_KG2_GRIPPER",
+        "LEFT_KG2_GRIPPER")  # fmt: skip
+NEO = _package("neo_simulation", "neo_simulation")
+XARM = ("xarm_ros2/xarm_description", "urdf/xarm_device.urdf.xacro", "arm")
+ROBOTNIK = (*UR, *_package("robotnik_sensors", "robotnik_sensors"))
+MAKERS = (
+    Maker("RB-Y1 A", "rby1-sdk/models/rby1a", "urdf/model_v1.0.urdf", "other", says="visual-hulls"),
+    Maker("RB-Y1 M", "rby1-sdk/models/rby1m", "urdf/model_v1.0.urdf", "other", says="visual-hulls"),
+    Maker("Fetch", "fetch_ros/fetch_description", "robots/fetch.urdf", drive="differential",
+          joints=(8,), opening=(0.09, 0.11)),
+    Maker("Freight", "fetch_ros/fetch_description", "robots/freight.urdf", "other", says="arm"),
+    Maker("youBot", "youbot_description", "robots/youbot.urdf.xacro", drive="omni", joints=(5,),
+          opening=(0.02, 0.07)),
+    Maker("youBot, two arms", "youbot_description", "robots/youbot_dual_arm.urdf.xacro",
+          drive="omni", joints=(5, 5), opening=(0.02, 0.07)),
+    Maker("LoCoBot wx250s", LOCOBOT, "urdf/locobot.urdf.xacro", words=_args(
+        "robot_name=locobot", "robot_model=locobot_wx250s", "arm_model=mobile_wx250s",
+        "base_model=kobuki"), drive="differential", joints=(6,), opening=(0.045, 0.08)),
+    Maker("LoCoBot wx200", LOCOBOT, "urdf/locobot.urdf.xacro", words=_args(
+        "robot_name=locobot", "robot_model=locobot_wx200", "arm_model=mobile_wx200",
+        "base_model=kobuki"), drive="differential", joints=(5,), opening=(0.045, 0.08)),
+    Maker("RB-Kairos UR5", "rbkairos_common/rbkairos_description", "robots/rbkairos_ur5.urdf.xacro",
+          words=(*ROBOTNIK, *_package("summit_xl_description",
+                                      "summit_xl_common/summit_xl_description")),
+          drive="omni", joints=(6,)),
+    Maker("RB-Vogui UR5", "rbvogui_common/rbvogui_description",
+          "robots/rbvogui_std_ur5.urdf.xacro", words=ROBOTNIK, drive="omni", joints=(6,)),
+    Maker("TurtleBot3 with OpenMANIPULATOR-X",
+          "turtlebot3_manipulation/turtlebot3_manipulation_description",
+          "urdf/turtlebot3_manipulation.urdf.xacro", drive="differential", joints=(4,),
+          opening=(0.03, 0.09)),
+    Maker("PR2", "pr2_common/pr2_description", "robots/pr2.urdf.xacro", drive="omni",
+          joints=(8, 8), opening=(0.07, 0.1)),
+    Maker("HSR", "hsr_description", "robots/hsrb4s.urdf", drive="omni", joints=(5,),
+          words=_package("hsr_meshes", "hsr_meshes"),
+          opening=(0.1, 0.15)),
+    Maker("FR3", "franka_description", "robots/fr3/fr3.urdf.xacro", "arm", joints=(7,),
+          opening=(0.075, 0.085)),
+    Maker("FR3 Duo", "franka_description", "robots/fr3_duo/fr3_duo.urdf.xacro", "other",
+          says="base"),
+    Maker("xArm7 with gripper", *XARM, words=_args("add_gripper=true", "dof=7"), joints=(7,),
+          opening=(0.075, 0.095)),
+    Maker("xArm6 with vacuum gripper", *XARM, words=_args("add_vacuum_gripper=true", "dof=6"),
+          joints=(6,), says="suction"),
+    Maker("Lite6", *XARM, words=_args("add_gripper=true", "dof=6", "robot_type=lite"), joints=(6,),
+          says="holds nothing|nothing to hold"),
+    Maker("OpenArm, two arms", "openarm_description", "urdf/robot/v10.urdf.xacro", "arm",
+          words=_args("bimanual=true"), joints=(7, 7)),
+    Maker("SO-100", "SO-ARM100/Simulation/SO100", "so100.urdf", "arm", joints=(5,),
+          says="visual-hulls"),
+    Maker("OpenMANIPULATOR-X", "open_manipulator/open_manipulator_description",
+          "urdf/open_manipulator_x/open_manipulator_x.urdf.xacro", "arm", joints=(4,),
+          words=_package("open_manipulator_bringup", "open_manipulator/open_manipulator_bringup"),
+          opening=(0.03, 0.09)),
+    Maker("UR5e", "Universal_Robots_ROS2_Description", "urdf/ur.urdf.xacro", "arm", joints=(6,),
+          words=(*_package("ur_description", "Universal_Robots_ROS2_Description"),
+                 *_args("name=ur5e", "ur_type=ur5e")), says="holds nothing|nothing to hold"),
+    Maker("MPO-700", "neo_mpo_700/robot_model", "mpo_700/mpo_700.urdf.xacro", "other",
+          words=_package("neo_mpo_700-2", "neo_mpo_700"), says="arm"),
+    Maker("LIMO", "limo_ros/limo_description", "urdf/limo_four_diff.xacro", "other",
+          words=_args("robot_namespace=limo"), says="arm"),
+    Maker("A200", "clearpath_common/clearpath_platform_description", "urdf/a200/a200.urdf.xacro",
+          "other", says="robot|link"),
+    Maker("MOVO", "kinova-movo/movo_common/movo_description", "urdf/movo.urdf.xacro",
+          drive="omni", joints=(7, 7), environment=tuple(f"MOVO_HAS_{part}=true" for part in MOVO)),
+    Maker("MM-400", "neo_simulation/robots", "mm_400/mm_400.urdf.xacro", words=NEO,
+          drive="differential", joints=(7,)),
+    Maker("MMO-500", "neo_simulation/robots", "mmo_500/mmo_500.urdf.xacro", words=NEO,
+          drive="omni", joints=(6,)),
+    Maker("MMO-700", "neo_simulation/robots", "mmo_700/mmo_700.urdf.xacro", words=NEO,
+          drive="omni", joints=(6,)),
+    Maker("Gen3 lite", "ros2_kortex/kortex_description", "robots/gen3_lite.urdf", "arm",
+          joints=(6,), opening=(0.05, 0.11), says="right_finger_tip_joint"),
+    Maker("Piper", "agilex_open_class/piper/piper_description", "urdf/piper_description.urdf",
+          "arm", joints=(6,), says="joint[78]"),
+)  # fmt: skip
+"""Files that nobody had tuned to. The numbers are of the makers' data sheets, the openings with the
+distance by which tips bow."""
+
+
+def makers(site: Path, only: tuple[str, ...] = ()) -> None:
+    """Check files of makers' repositories, unmodified, against what the makers say.
+
+    Args:
+        site: Folder with the repositories by name, as `git clone` makes them.
+        only: Only these robots.
+    """
+    print("| robot | status | drive | joints | opening [m] | self-test | right |")
+    print("|---|---|---|---|---|---|---|")
+    chosen = [maker for maker in MAKERS if not only or maker.name in only]
+    right = 0
+    for maker in chosen:
+        with tempfile.TemporaryDirectory(prefix="makers-") as folder:
+            statuses, text, facts = _read(maker, site, Path(folder) / "robot.toml")
+        arms = list(facts.get("arms", {}).values()) or [facts] * bool(facts)
+        drive, opening = facts.get("drive", ""), facts.get("opening", np.nan)
+        joints = tuple(len(arm["joints"]) for arm in arms)
+        wrong = [
+            what
+            for what, fits in (
+                ("status", statuses == {"mobile": [0], "arm": [2, 0], "other": [2]}[maker.kind]),
+                ("drive", not maker.drive or drive == maker.drive),
+                ("joints", not maker.joints or joints == maker.joints),
+                ("opening", maker.opening is None
+                 or maker.opening[0] <= opening <= maker.opening[1]),
+                ("words", re.search(maker.says, text) is not None),
+            )
+            if not fits
+        ]  # fmt: skip
+        right += not wrong
+        tests = "; ".join(
+            f"{test['arm']} {test['name']}: {test['words']}".strip()
+            for test in facts.get("self_test", [])
+            if test["passed"] is not True
+        )
+        last = "passed" if facts else text.splitlines()[-1][:160]
+        print(
+            f"| {maker.name} | {statuses} | {drive} | {joints} | {opening:.3f} | "
+            f"{tests or last} | {'yes' if not wrong else 'no: ' + ', '.join(wrong)} |",
+            flush=True,
+        )
+    print(f"\n{right} of {len(chosen)} right")
+
+
+def _read(maker: Maker, site: Path, out: Path) -> tuple[list[int], str, dict[str, Any]]:
+    """Check a file, then an arm on a box; return the statuses, all output, and the facts."""
+    words = [word.format(site=site, folder=site / maker.folder) for word in maker.words]
+    file = str(site / maker.folder / maker.urdf)
+    environment = {**os.environ, **dict(pair.split("=") for pair in maker.environment)}
+    statuses, text, facts = [], "", dict[str, Any]()
+    for more in ([], ["--on-box", BOX]) if maker.kind == "arm" else ([],):
+        ran = subprocess.run(
+            [sys.executable, "-c", COMMAND, "robot", "check", file, "--out", str(out), "--json",
+             *words, *more],
+            capture_output=True, text=True, env=environment, timeout=LIMIT_OPENINGS, check=False,
+        )  # fmt: skip
+        statuses.append(ran.returncode)
+        text += ran.stdout + ran.stderr
+        facts = json.loads(ran.stdout) if ran.returncode == 0 else {}
+    return statuses, text, facts
 
 
 def process(words: list[str], limit: int = LIMIT) -> Outcome:
@@ -429,4 +600,4 @@ def self_collision(robots: tyro.conf.Positional[tuple[str, ...]] = ()) -> None:
 
 
 if __name__ == "__main__":
-    commands(__doc__, check, openings, self_collision)
+    commands(__doc__, check, makers, openings, self_collision)

@@ -89,8 +89,7 @@ def test_rotating_fingers_rest_open_with_facing_pads(tmp_path: Path) -> None:
     robot = derived(tmp_path, turning(-0.6, 0.6))
     rest = tomllib.loads(robot.path.read_text())["rest"]
     assert rest["left_finger_joint"] == rest["right_finger_joint"] > 0.0
-    meet = -np.arcsin(0.015 / FINGER)
-    assert rest["left_finger_joint"] - meet <= MAX_PAD_ANGLE + 0.02
+    assert rest["left_finger_joint"] == pytest.approx(MAX_PAD_ANGLE, abs=0.02), "parallel at zero"
     left, right = tips(robot)
     ends = (
         left[left[:, 0] > left[:, 0].max() - 0.015, 1],
@@ -122,6 +121,104 @@ def test_rotating_fingers_open_to_less_than_they_can(
     assert hand.rest == pytest.approx(0.0, abs=2e-3)
     before = [side[side[:, 0].argmax(), 1] for side in tips(robot)]
     assert before[0] > ends[0] > 0.0 > ends[1] > before[1]
+
+
+def test_jaws_open_as_far_as_their_pads_are_parallel_within_the_limit(tmp_path: Path) -> None:
+    """The jaws are parallel 3 cm apart, and meet at -0.1 rad: from there, 0.2 rad are 6 cm less."""
+    robot = derived(tmp_path, turning(-0.6, 0.6))
+    widest = 0.03 + 2 * FINGER * np.sin(MAX_PAD_ANGLE)
+    assert robot.opening == pytest.approx(widest - 0.01, abs=0.01)
+
+
+def test_jaws_with_wedges_open_from_where_the_wedges_are_parallel(tmp_path: Path) -> None:
+    """Pads that lean by 0.3 rad on their jaws are parallel when the jaws are 0.3 rad open."""
+    text = turning(-0.1, 0.6)
+    for side, sign in (("left", 1), ("right", -1)):
+        bar = box(FINGER, 0.01, 0.02)
+        turned = f"{FINGER - 0.02} {sign * -0.006} 0"
+        wedge = f'<collision><origin xyz="{turned}" rpy="0 0 {-sign * 0.3}"/>'
+        wedge += f"<geometry>{box(0.05, 0.012, 0.02)}</geometry></collision>"
+        at = text.index(f'<link name="{side}_finger">')
+        end = text.index("</link>", at)
+        assert bar in text[at:end]
+        text = text[:end] + wedge + text[end:]
+    robot = derived(tmp_path, text)
+    rest = robot.model.rest["left_finger_joint"]
+    assert rest == pytest.approx(0.3 + MAX_PAD_ANGLE, abs=0.02)
+
+
+def test_soft_tips_on_turning_fingers_hold_over_the_whole_stroke(tmp_path: Path) -> None:
+    parts = []
+    for side, sign in (("left", 1), ("right", -1)):
+        parts += [
+            link(f"{side}_finger", box(0.1, 0.01, 0.02), "0.05 0 0"),
+            joint(
+                f"{side}_finger_joint", "revolute", "palm", f"{side}_finger",
+                f"0.06 {0.02 * sign} 0", f"0 0 {sign}", STRONG.format(-0.1, 0.6, 20),
+            ),
+            link(f"{side}_cup", box(0.03, 0.01, 0.02), "0.015 0 0"),
+            joint(f"{side}_mount", "fixed", f"{side}_finger", f"{side}_cup", "0.1 0 0"),
+        ]  # fmt: skip
+    robot = derived(tmp_path, with_fingers(*parts))
+    assert robot.model.rest["left_finger_joint"] == pytest.approx(0.6, abs=0.02)
+    assert robot.opening > 0.03 + 2 * 0.1 * np.sin(0.6) - 0.01
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_tips_that_curl_with_their_fingers_are_reported(tmp_path: Path, sign: int) -> None:
+    parts = []
+    for side, way in (("left", 1), ("right", -1)):
+        parts += [
+            link(f"{side}_finger", box(0.08, 0.01, 0.02), "0.04 0 0"),
+            joint(
+                f"{side}_finger_joint", "revolute", "palm", f"{side}_finger",
+                f"0.06 {0.02 * way} 0", f"0 0 {way}", STRONG.format(-0.1, 0.6, 20),
+            ),
+            link(f"{side}_tip", box(0.04, 0.01, 0.02), "0.02 0 0"),
+            joint(
+                f"{side}_tip_joint", "revolute", f"{side}_finger", f"{side}_tip", "0.08 0 0",
+                f"0 0 {way}", STRONG.format(-0.6, 0.6, 20)
+                + f'<mimic joint="{side}_finger_joint" multiplier="{0.9 * sign}"/>',
+            ),
+        ]  # fmt: skip
+    path = tmp_path / "robot.urdf"
+    path.write_text(with_fingers(*parts))
+    made, found = write_robot(path)
+    said = "\n".join(found.assumptions)
+    assert ("left_tip_joint turns the tip in the direction of left_finger_joint" in said) == (
+        sign > 0
+    )
+    opening = load_robot(made).opening
+    assert opening < 0.08 if sign > 0 else opening > 0.1
+
+
+def test_limits_that_move_fingers_through_each_other_are_reported(tmp_path: Path) -> None:
+    text = sliding("0.0").replace('lower="0" upper="0.04"', 'lower="-0.04" upper="0"')
+    text = text.replace(' 0.02 0"', ' 0.005 0"').replace(' -0.02 0"', ' -0.005 0"')
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    said = "\n".join(write_robot(path)[1].assumptions)
+    names = "left_finger_joint and right_finger_joint"
+    assert f"IMPORTANT: {names} move the fingers through each other" in said
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_turning_jaw_opens_from_the_fixed_side_of_the_hand(tmp_path: Path, side: int) -> None:
+    """The jaw is as wide as its pad and the fixed one lean, together twice the limit."""
+    text = with_fingers(
+        link("jaw", box(0.08, 0.01, 0.02), "0.04 0 0"),
+        joint(
+            "jaw_joint", "revolute", "palm", "jaw", f"0.06 {0.01 * side} 0", f"0 0 {side}",
+            STRONG.format(-0.1, 1.5, 10),
+        ),
+    )  # fmt: skip
+    fixed = f'<collision><origin xyz="0.1 {-0.02 * side} 0"/>'
+    fixed += f"<geometry>{box(0.08, 0.01, 0.02)}</geometry></collision>"
+    at = text.index("</link>", text.index('<link name="palm">'))
+    robot = derived(tmp_path, text[:at] + fixed + text[at:])
+    widest = 0.02 + (0.08 - 0.03) * np.sin(2 * MAX_PAD_ANGLE)
+    assert robot.opening == pytest.approx(widest, abs=0.006)
+    assert robot.model.rest["jaw_joint"] == pytest.approx(2 * MAX_PAD_ANGLE, abs=0.03)
 
 
 def test_a_finger_that_follows_the_other_opens_with_it(tmp_path: Path) -> None:

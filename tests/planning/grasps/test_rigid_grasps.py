@@ -121,7 +121,7 @@ def test_an_offset_of_the_center_of_mass_reduces_the_payload() -> None:
     [
         ("table", GraspConfig(), "cm wide, and the gripper of"),
         ("cup", GraspConfig(resistance=ResistanceConfig(density=1e5)), "N of it at most, and"),
-        ("cup", GraspConfig(pad_contact=50.0), "touch too little"),
+        ("cup", GraspConfig(pad_contact=50.0), "motion.grasps.pad_contact is 50 cm"),
     ],
 )
 def test_an_object_that_cannot_be_grasped_is_refused_before_the_search(

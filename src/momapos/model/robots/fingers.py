@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,20 @@ from momapos.core.geometry import apply, invert
 from momapos.model.urdf import Articulated, slab
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float
 
 THUMB = re.compile("thumb", re.I)
 TIP_LENGTH = 0.03
 """Length of a fingertip that counts for the opening [m]."""
 MAX_PAD_ANGLE = 0.2
-"""Maximum angle between pads that can still hold a flat object with their faces [rad]."""
+"""Maximum angle between a pad and the face of a flat object that it still holds [rad]."""
+MIN_PAD_COSINE = 0.5
+"""Minimum cosine between a pad's normal and the closing axis, where the tips meet [-]."""
+MIN_FLAT_COSINE, MIN_FLAT_SHARE = 0.996, 0.3
+"""Cosine above which faces are one flat face (5 degrees), and the share of a tip's inner area that
+makes it the pad [-]; round tips have none."""
+_SAME_LEAN = 0.02
+"""Difference of angles below which pads count as equally parallel [rad]."""
 PLAUSIBLE_OPENINGS = (0.005, 0.5)
 """Range of plausible openings of a gripper [m]."""
 PLAUSIBLE_FORCES = (5.0, 400.0)
@@ -47,6 +54,8 @@ class Stroke:
     """Values of the finger joints at this opening [rad] or [m]."""
     leaning: float = 0.0
     """Widest plausible gap of the tips, however far the pads lean there [m]."""
+    crossing: tuple[str, ...] = ()
+    """Joints that move the tips through each other and never apart, which no gripper does."""
 
 
 def jaws(
@@ -83,22 +92,24 @@ def widest(
     """Return the widest gap between the tips of two sides over their joint limits.
 
     All joints move together from one end to the other; if the limits of some have opposite signs,
-    also with these reversed. Rotating pads count while they still face each other.
+    also with these reversed. Pads count while they face each other, within `MAX_PAD_ANGLE`.
 
     Args:
         model, tool: The robot, and the frame of the axes.
-        sides: Fingers of both sides, as from `jaws`.
+        sides: Fingers of both sides, as from `jaws`; a fixed side may carry the other.
         axes: Closing axis and approach axis.
     """
-    best, leaning = Stroke(), 0.0
-    for names, states in _strokes(model, sides):
-        gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
-        k = holds[int(np.argmax(gap[holds]))]
+    best, leaning, crossing = Stroke(), 0.0, dict[str, None]()
+    for closing in _closings(model, tool, sides, axes):
+        gap, k = closing.gap, closing.widest
+        if gap.max() < PLAUSIBLE_OPENINGS[0] and gap.min() < -PLAUSIBLE_OPENINGS[0]:
+            crossing |= dict.fromkeys(closing.names)
         leaning = max(leaning, float(gap[gap < PLAUSIBLE_OPENINGS[1]].max(initial=0.0)))
         if best.opening < gap[k] and PLAUSIBLE_OPENINGS[0] < gap[k] < PLAUSIBLE_OPENINGS[1]:
-            values = dict(zip(names, np.round(states[k], 4).tolist(), strict=True))
-            best = Stroke(float(gap[k]), {} if _has_thumb(sides) else values)
-    return Stroke(round(best.opening, 3), best.rest, round(leaning, 3))
+            values = {} if _has_thumb(sides) else closing.values(k, 4)
+            best = Stroke(float(gap[k]), values)
+    opening, crossing = round(best.opening, 3), {} if best.opening else crossing
+    return Stroke(opening, best.rest, round(leaning, 3), tuple(crossing))
 
 
 def narrower(
@@ -112,37 +123,17 @@ def narrower(
     The states are those of the stroke with the widest gap, as long as the gap shrinks and the pads
     face each other; none for a hand with a thumb. Arguments are those of `widest`.
     """
-    best: tuple[list[str], np.ndarray, np.ndarray] = ([], np.zeros((0, 0)), np.zeros(0))
-    for names, states in [] if _has_thumb(sides) else _strokes(model, sides):
-        gap, holds = _holding_gaps(model, tool, sides, names, states, axes)
-        first = holds[int(np.argmax(gap[holds]))]
+    best: tuple[Sequence[str], np.ndarray, np.ndarray] = ([], np.zeros((0, 0)), np.zeros(0))
+    for closing in [] if _has_thumb(sides) else _closings(model, tool, sides, axes):
+        gap, first = closing.gap, closing.widest
         step = 1 if int(np.argmin(gap)) > first else -1
         rows = np.arange(first, len(gap) if step > 0 else -1, step)
-        shrinks = np.isin(rows, holds) & (np.diff(gap[rows], prepend=np.inf) < 0.0)
+        shrinks = closing.holds[rows] & (np.diff(gap[rows], prepend=np.inf) < 0.0)
         rows = rows[: len(rows) if shrinks.all() else int(np.argmin(shrinks))]
         if len(rows) and gap[first] > best[2].max(initial=0.0):
-            best = names, states[rows], gap[rows]
+            best = closing.names, closing.states[rows], gap[rows]
     names, states, gap = best
     return tuple(names), states, gap
-
-
-def _has_thumb(sides: tuple[Sequence[str], Sequence[str]]) -> bool:
-    return any(THUMB.search(name) for side in sides for name in side)
-
-
-def _holding_gaps(
-    model: Articulated,
-    tool: str,
-    sides: tuple[Sequence[str], Sequence[str]],
-    names: Sequence[str],
-    states: Float[np.ndarray, "m n"],
-    axes: Float[np.ndarray, "2 3"],
-) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " k"]]:
-    """Return the gap at each state, and the states in which the pads can hold."""
-    gap, pads = _gaps(model, tool, sides, names, states, axes)
-    met = pads[int(np.argmin(np.abs(gap)))]
-    lean = np.arccos(np.clip((pads * met).sum(-1), -1.0, 1.0)).max(-1)
-    return gap, np.flatnonzero(_has_thumb(sides) | (lean <= MAX_PAD_ANGLE))
 
 
 def facing(
@@ -151,36 +142,169 @@ def facing(
     sides: tuple[Sequence[str], Sequence[str]],
     axes: Float[np.ndarray, "2 3"],
 ) -> tuple[dict[str, float], float]:
-    """Find the state in which the pads of rotating fingers face each other, closest to contact.
+    """Find the state in which the pads of rotating fingers are parallel, closest to contact.
 
     Returns:
         Values of their joints, and the width of the gap at rest [m].
     """
     found = []
-    for names, states in _strokes(model, sides):
-        gap, _ = _gaps(model, tool, sides, names, states, axes)
-        k = int(np.argmin(np.abs(gap)))
-        found.append((abs(gap[k]), dict(zip(names, states[k].tolist(), strict=True))))
+    for closing in _closings(model, tool, sides, axes):
+        near = np.abs(closing.gap)
+        parallel = closing.lean <= closing.lean.min() + _SAME_LEAN
+        k = int(np.argmin(np.where(parallel, near, np.inf)))
+        found.append((near.min(), closing.values(k)))
     _, values = min(found, key=lambda one: one[0])
-    return values, _gap(model, tool, sides, {}, axes)[0]
+    poses = model.link_poses({})
+    return values, _gap(model, invert(poses[tool]), poses, sides, axes)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Closing:
+    """How the fingers of two sides close, from one end of their joints to the other."""
+
+    names: Sequence[str]
+    states: Float[np.ndarray, "m n"]
+    gap: Float[np.ndarray, " m"]
+    """Distance between the tips [m], negative if they overlap."""
+    lean: Float[np.ndarray, " m"]
+    """Largest angle between a pad and the closing axis [rad]; 0 where the hand has a thumb."""
+
+    @property
+    def holds(self) -> Bool[np.ndarray, " m"]:
+        """Mark the states in which the pads can hold; at least the one with the least lean."""
+        return np.asarray(self.lean <= max(MAX_PAD_ANGLE, float(self.lean.min())))
+
+    @property
+    def widest(self) -> int:
+        """Return the index of the widest gap of the states in which the pads can hold."""
+        return int(np.argmax(np.where(self.holds, self.gap, -np.inf)))
+
+    def values(self, k: int, digits: int = 12) -> dict[str, float]:
+        """Return the values of the joints in a state."""
+        return dict(zip(self.names, np.round(self.states[k], digits).tolist(), strict=True))
+
+
+def _has_thumb(sides: tuple[Sequence[str], Sequence[str]]) -> bool:
+    return any(THUMB.search(name) for side in sides for name in side)
+
+
+def _closings(
+    model: Articulated,
+    tool: str,
+    sides: tuple[Sequence[str], Sequence[str]],
+    axes: Float[np.ndarray, "2 3"],
+) -> Iterator[_Closing]:
+    for names, states in _strokes(model, sides):
+        every = [model.link_poses(dict(zip(names, q, strict=True))) for q in states.tolist()]
+        found = [_gap(model, invert(poses[tool]), poses, sides, axes) for poses in every]
+        gap = np.array([one[0] for one in found])
+        met = int(np.argmin(np.abs(gap)))
+        pads = []
+        for link, inward in zip(found[met][1], (-axes[0], axes[0]), strict=True):
+            if _has_thumb(sides) or _is_compliant(model, link, sides):
+                pads.append(np.broadcast_to(inward, (len(gap), 3)))
+                continue
+            Ts = np.array([invert(poses[tool]) @ poses[link] for poses in every])
+            pads.append(Ts[:, :3, :3] @ _pad_normal(model, link, Ts[met], inward, axes))
+        one, other = pads
+        cosines = [one @ -axes[0], other @ axes[0]]
+        lean = np.arccos(np.clip(cosines, -1.0, 1.0)).max(0)
+        if _carries(model, sides):  # the object turns half of the angle between jaw and hand
+            lean = np.arccos(np.clip(-(one * other).sum(-1), -1.0, 1.0)) / 2
+        yield _Closing(names, states, gap, lean)
+
+
+def _carries(model: Articulated, sides: tuple[Sequence[str], Sequence[str]]) -> bool:
+    """Return whether one side carries the other: a jaw that closes on the hand."""
+    one, other = ({n for name in side for n in model.links_below(name)} for side in sides)
+    return bool(one & other)
+
+
+def _is_compliant(
+    model: Articulated, link: str, sides: tuple[Sequence[str], Sequence[str]]
+) -> bool:
+    """Return whether a tip is a separate link on a turning finger, whose pads stay facing.
+
+    Soft cups and flexible strips are modeled so; see `hand_openings.pivots`. Tips of linkages turn
+    themselves.
+    """
+    joint = next(j for j in model.urdf.joints if j.child == link)
+    driver = next((j for j in model.joints.values() if j.child == joint.parent), None)
+    if joint.movable or driver is None or driver.kind == "prismatic" or driver.mimic is not None:
+        return False
+    return any(driver.child == name for side in sides for name in side)
+
+
+def _pad_normal(
+    model: Articulated,
+    link: str,
+    T_tool_link: Float[np.ndarray, "4 4"],
+    inward: Float[np.ndarray, "3"],
+    axes: Float[np.ndarray, "2 3"],
+) -> Float[np.ndarray, "3"]:
+    """Return the normal of a pad in the frame of its link: of the largest flat face of the tip.
+
+    Args:
+        model, link: The tip.
+        T_tool_link: Its pose where the tips meet.
+        inward: Unit vector to the other side, in the tool frame.
+        axes: Closing axis and approach axis.
+
+    Returns:
+        The unit normal; `inward` where the tips meet for round tips.
+    """
+    T = T_tool_link
+    hulls = [_points(T, hull.vertices)[hull.faces] for hull in model.hulls[link]]
+    middle = np.concatenate([np.broadcast_to(f.reshape(-1, 3).mean(0), (len(f), 3)) for f in hulls])
+    faces = np.concatenate(hulls)
+    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    outward = np.sign(((faces.mean(1) - middle) * normal).sum(1, keepdims=True))
+    normal *= outward / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    height = faces @ axes[1]
+    area = _area_above(faces, height - (height.max() - TIP_LENGTH))
+    area = np.where(normal @ inward > MIN_PAD_COSINE, area, 0.0)
+    alike = normal @ normal.T > MIN_FLAT_COSINE
+    shared = alike @ area
+    best = int(np.argmax(shared))
+    pad = inward
+    if shared[best] > MIN_FLAT_SHARE * area.sum() > 0.0:
+        pad = (area * alike[best]) @ normal
+        pad = pad / np.linalg.norm(pad)
+    return np.asarray(T[:3, :3].T @ pad)
+
+
+def _area_above(
+    faces: Float[np.ndarray, "f 3 3"], height: Float[np.ndarray, "f 3"]
+) -> Float[np.ndarray, " f"]:
+    """Return the area of the part of each triangle with a height above zero [m^2]."""
+    a, b, c = faces.transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    low, middle, high = np.sort(height, axis=1).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tip = high**2 / ((high - low) * (high - middle))
+        base = 1.0 - low**2 / ((high - low) * (middle - low))
+    share = np.where(middle > 0.0, base, tip)
+    share = np.where(low >= 0.0, 1.0, np.where(high <= 0.0, 0.0, share))
+    return np.asarray(area * share)
 
 
 def _strokes(
     model: Articulated, sides: tuple[Sequence[str], Sequence[str]]
 ) -> list[tuple[list[str], Float[np.ndarray, "m n"]]]:
     """Return the names of the finger joints, and their states from one end to the other."""
-    inside = {link for side in sides for name in side for link in model.links_below(name)}
+    one, other = ({n for name in side for n in model.links_below(name)} for side in sides)
+    moving, hand = one & other or one | other, one | other  # a fixed side may carry the other
     leaders = {
         joint.name if joint.mimic is None else joint.mimic.joint
         for joint in model.joints.values()
-        if joint.child in inside
+        if joint.child in moving
     }
     movers = [
         joint
         for joint in model.joints.values()
         if joint.name in leaders
         and np.isfinite(joint.upper - joint.lower)
-        and not inside.issubset(model.links_below(joint.child))  # it moves the whole hand
+        and not hand.issubset(model.links_below(joint.child))  # it moves the whole hand
     ]
     lower, upper = (np.array([getattr(j, end) for j in movers]) for end in ("lower", "upper"))
     flipped = np.abs(lower) > np.abs(upper)
@@ -191,55 +315,43 @@ def _strokes(
     return [([j.name for j in movers], begin + share * (end - begin)) for begin, end in ends]
 
 
-def _gaps(
-    model: Articulated,
-    tool: str,
-    sides: tuple[Sequence[str], Sequence[str]],
-    names: Sequence[str],
-    states: Float[np.ndarray, "m n"],
-    axes: Float[np.ndarray, "2 3"],
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m 2 3"]]:
-    found = [
-        _gap(model, tool, sides, dict(zip(names, q, strict=True)), axes) for q in states.tolist()
-    ]
-    return np.array([gap for gap, _ in found]), np.array([pads for _, pads in found])
-
-
 def _gap(
     model: Articulated,
-    tool: str,
+    T_tool_root: Float[np.ndarray, "4 4"],
+    poses: Mapping[str, Float[np.ndarray, "4 4"]],
     sides: tuple[Sequence[str], Sequence[str]],
-    values: Mapping[str, float],
     axes: Float[np.ndarray, "2 3"],
-) -> tuple[float, Float[np.ndarray, "2 3"]]:
+) -> tuple[float, list[str]]:
     """Return the gap between the tips of two sides [m], negative if they overlap.
 
     Returns:
-        The gap, and the closing axis in the frame of the link at each tip.
+        The gap, and the link at the tip of each side.
     """
-    poses = model.link_poses(values)
-    T = invert(poses[tool])
-    ends, pads = [], []
-    for side in sides:
+    ends, tips = [], []
+    for side, others in (sides, sides[::-1]):
         # The thumb of a hand is shorter, so the whole fingers count.
         near = np.inf if any(map(THUMB.search, side)) or len(side) > 2 else TIP_LENGTH
-        links = [n for name in side for n in model.links_below(name) if model.hulls[n]]
+        away = {n for o in others for n in model.links_below(o)} - set(side)
+        links = [
+            n for name in side for n in model.links_below(name) if model.hulls[n] and n not in away
+        ]
         reach = {
             n: max(
-                float((_points(T @ poses[n], h.vertices) @ axes[1]).max()) for h in model.hulls[n]
+                float((_points(T_tool_root @ poses[n], h.vertices) @ axes[1]).max())
+                for h in model.hulls[n]
             )
             for n in links
         }
         first = max(reach, key=lambda n: reach[n])
         points = [
-            slab(_points(T @ poses[n], h.vertices), h.faces, axes[1], reach[first] - near)
+            slab(_points(T_tool_root @ poses[n], h.vertices), h.faces, axes[1], reach[first] - near)
             for n in links
             for h in model.hulls[n]
         ]
         across = np.concatenate(points) @ axes[0]
         ends.append((float(across.min()), float(across.max())))
-        pads.append((T @ poses[first])[:3, :3].T @ axes[0])
-    return ends[0][0] - ends[1][1], np.array(pads)
+        tips.append(first)
+    return ends[0][0] - ends[1][1], tips
 
 
 def find_force(

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core.geometry import apply, invert, orthonormal
-from momapos.model.urdf import Articulated, Joint
+from momapos.model.urdf import Articulated, Hull, Joint
 
-from .fingers import MAX_PAD_ANGLE, THUMB, TIP_LENGTH, jaws, widest
+from .fingers import MAX_PAD_ANGLE, THUMB, TIP_LENGTH, Stroke, jaws, widest
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -40,7 +40,8 @@ TIP_RANGE = (-0.02, 0.1)
 """Distances of the tool link behind the fingertips at which it counts as the grasp center; the ends
 themselves do not count, so that rounding does not decide about hands of round numbers [m]."""
 MAX_RIM = 0.005
-"""Depth of the rim of a suction cup, and distance of the tool link that counts as at it [m]."""
+"""Depth of the rim of a suction cup, distance of the tool link that counts as at it, and depth in a
+palm at which a tool link counts as in it [m]."""
 MIN_LEANING = 0.01
 """Further gap of leaning fingers that is reported [m]."""
 ASSUMED_OPENING = 0.08
@@ -159,7 +160,10 @@ def find_grip(
         across = one - other - ((one - other) @ approach) * approach
         closing = _snap(across) if np.linalg.norm(across) > 0.005 else orthonormal(approach)
     else:
-        closing = _snap(one - other)
+        apart = one - other
+        if np.linalg.norm(apart) < 1e-6:  # they rest in each other
+            apart = _stroke_of(model, tool, fingers[shaped[0]], middle)
+        closing = _snap(apart)
     closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
     ahead = (other if len(shaped) > 2 else middle) - back[:3, 3]
     ahead = ahead - (ahead @ closing) * closing
@@ -170,19 +174,76 @@ def find_grip(
     stroke = widest(model, tool, jaws(model, tool, fingers, closing), axes)
     opening = stroke.opening
     words = "measured at the fingertips" if opening else "a guess: the gap is unclear"
-    if opening and stroke.leaning > opening + MIN_LEANING:
-        words += (
-            f"; they open to {stroke.leaning:g} m, but lean by more than "
-            f"{np.degrees(MAX_PAD_ANGLE):.0f} degrees there, so set opening if wider objects can "
-            "be held"
+    words += _leaning(stroke)
+    if stroke.crossing:
+        notes.append(
+            f"IMPORTANT: {' and '.join(stroke.crossing)} move the fingers through each other and "
+            "never apart; check their axes and limits, and set opening"
         )
+    if stroke.leaning > opening + MIN_LEANING:
+        notes.extend(_curling_tips(model, fingers))
     notes.append(
         f"approach_axis {listed(approach)} points along the fingers, closing_axis "
         f"{listed(closing)} across them; opening {opening or ASSUMED_OPENING:g} m, {words}"
     )
     tip = max(float((hands[i] @ approach).max()) for i in shaped)
-    grasp = _grasp(tool, middle, tip, approach, notes)
+    grasp = _grasp(tool, middle, tip, approach, notes, _palm(model, last, tool, fingers))
     return GripperGeometry(approach, closing, opening or ASSUMED_OPENING, grasp, stroke.rest)
+
+
+def _stroke_of(
+    model: Articulated, tool: str, finger: str, at: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the direction in which a finger moves at a point, both in the tool's frame."""
+    T = invert(model.rest_poses[tool]) @ model.rest_poses[finger]
+    joint = next(j for j in model.urdf.joints if j.child == finger)
+    axis = T[:3, :3] @ joint.axis
+    return axis if joint.kind == "prismatic" else np.cross(axis, at - T[:3, 3])
+
+
+def _leaning(stroke: Stroke) -> str:
+    """Return how far the tips open with pads that lean too far; "" if hardly farther."""
+    if not 0.0 < stroke.opening < stroke.leaning - MIN_LEANING:
+        return ""
+    return (
+        f"; they open to {stroke.leaning:g} m, but lean by more than "
+        f"{np.degrees(MAX_PAD_ANGLE):.0f} degrees there, so set opening if wider objects can be "
+        "held"
+    )
+
+
+def _curling_tips(model: Articulated, fingers: Sequence[str]) -> Iterator[str]:
+    """Report tips that turn with their finger, although they follow it as those of a linkage do.
+
+    A linkage turns the tip against its finger, so that the pads stay parallel. A wrong sign of the
+    multiplier makes them curl.
+    """
+    if any(map(THUMB.search, fingers)) or len(fingers) > 2:
+        return
+    for finger in fingers:
+        root = next(joint for joint in model.joints.values() if joint.child == finger)
+        for joint in model.joints.values():
+            if joint.parent != finger or joint.mimic is None or joint.kind == "prismatic":
+                continue
+            ratio = joint.mimic.ratio / (1.0 if root.mimic is None else root.mimic.ratio)
+            axis = joint.T_parent_joint[:3, :3] @ joint.axis
+            if root.kind != "prismatic" and ratio * (axis @ root.axis) > 0.0:
+                yield (
+                    f"IMPORTANT: {joint.name} turns the tip in the direction of {root.name}, so "
+                    "the pads face each other over a part of the stroke only; check the sign of "
+                    "its mimic multiplier, which in a linkage keeps them parallel"
+                )
+
+
+def _palm(model: Articulated, last: str, tool: str, fingers: Sequence[str]) -> list[Hull]:
+    """Return the convex bodies of the hand that are no fingers, in the tool's frame."""
+    T = invert(model.rest_poses[tool])
+    return [
+        replace(hull, vertices=apply(T @ model.rest_poses[name], hull.vertices))
+        for name in fixed_to(model, last)
+        for hull in model.hulls[name]
+        if name not in fingers
+    ]
 
 
 def _bare(model: Articulated, last: str, tool: str, notes: list[str]) -> GripperGeometry:
@@ -255,14 +316,11 @@ def _one_jaw(
     model: Articulated, last: str, tool: str, finger: str, notes: list[str]
 ) -> GripperGeometry:
     """Return the geometry of a gripper with one moving jaw, which closes on the hand."""
-    T_tool_root = invert(model.rest_poses[tool])
     joint = next(j for j in model.urdf.joints if j.child == finger)
-    T = T_tool_root @ model.rest_poses[finger]
-    axis, origin = T[:3, :3] @ joint.axis, T[:3, 3]
-    back = (T_tool_root @ model.rest_poses[last])[:3, 3]
+    back = (invert(model.rest_poses[tool]) @ model.rest_poses[last])[:3, 3]
     points = points_of(model, tool, model.links_below(finger))
     tip = points[int(np.argmax(np.linalg.norm(points - back, axis=1)))]
-    way = axis if joint.kind == "prismatic" else np.cross(axis, tip - origin)
+    way = _stroke_of(model, tool, finger, tip)
     closing = _snap(way)
     closing = closing * np.sign(closing[int(np.argmax(abs(closing)))])
     ahead = tip - back
@@ -273,15 +331,24 @@ def _one_jaw(
     radius = float(np.linalg.norm(way))
     travel = span if joint.kind == "prismatic" else 2 * radius * np.sin(min(span, np.pi) / 2)
     opening = round(float(travel), 3) if 0.005 < travel < 0.5 else ASSUMED_OPENING
+    words = "the travel of its tip"
+    others = points_of(model, tool, fixed_to(model, last))
+    stroke = Stroke()
+    if len(others) and (others @ approach).max() > tip @ approach - TIP_LENGTH:
+        axes = np.stack([closing, approach])
+        sides = ((finger,), (last,)), ((last,), (finger,))
+        stroke = max((widest(model, tool, s, axes) for s in sides), key=lambda s: s.opening)
+    if stroke.opening:
+        opening = stroke.opening
+        words = f"measured between its tip and the fixed side{_leaning(stroke)}"
     notes.append(
         f"one jaw moves, {finger}: approach_axis {listed(approach)}, closing_axis "
-        f"{listed(closing)}; opening {opening:g} m, the travel of its tip"
+        f"{listed(closing)}; opening {opening:g} m, {words}"
     )
     ahead_of_tool = float(tip @ approach)
     grasp = _grasp(tool, tip - (tip @ closing) * closing, ahead_of_tool, approach, notes)
-    rest = {}
-    if joint.kind == "prismatic" and np.isfinite(span):  # the end away from the fixed side
-        others = points_of(model, tool, fixed_to(model, last))
+    rest = dict(stroke.rest)
+    if not rest and joint.kind == "prismatic" and np.isfinite(span):  # away from the fixed side
         near = others[others @ approach > tip @ approach - TIP_LENGTH]
         facing = near.mean(0) if len(near) else back
         rest[joint.name] = joint.upper if (tip - facing) @ way > 0 else joint.lower
@@ -337,21 +404,35 @@ def _grasp(
     tip: float,
     approach: Float[np.ndarray, "3"],
     notes: list[str],
+    palm: Sequence[Hull] = (),
 ) -> Float[np.ndarray, "3"] | None:
-    """Return the grasp center in the tool's frame [m]; None if the tool link is there."""
+    """Return the grasp center in the tool's frame [m]; None if the tool link is there.
+
+    It is not there if it is in one of the convex bodies of the palm, also in the tool's frame.
+    """
     aside = float(np.linalg.norm(middle - (middle @ approach) * approach))
     between = TIP_RANGE[0] < round(tip, 6) < TIP_RANGE[1]
-    if between and aside < MAX_TOOL_OFFSET:
+    within = any(_is_inside(hull) for hull in palm)
+    if between and aside < MAX_TOOL_OFFSET and not within:
         return None
     where = f"{abs(tip):.2f} m {'behind' if tip > 0 else 'beyond'} the fingertips"
     if between:
-        where = f"{aside:.2f} m to the side of the fingers"
+        where = "in the palm" if within else f"{aside:.2f} m to the side of the fingers"
     grasp = middle + (tip - 0.02 - middle @ approach) * approach
     notes.append(
         f"{tool} is {where}, but the tool frame must be at the grasp center: the robot file adds a "
         f"frame at {listed(grasp)} in {tool}"
     )
     return grasp
+
+
+def _is_inside(hull: Hull) -> bool:
+    """Return whether the origin is inside a convex body, and not only at its surface."""
+    a, b, c = hull.vertices[hull.faces].transpose(1, 0, 2)
+    normal, middle = np.cross(b - a, c - a), hull.vertices.mean(0)
+    outward = np.sign(((a - middle) * normal).sum(1))
+    depth = outward * (a * normal).sum(1)
+    return bool((depth > MAX_RIM * np.linalg.norm(normal, axis=1)).all())
 
 
 def _snap(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -191,8 +191,26 @@ class Contact:
 
     def is_firm(self, hand: HandBoxes, config: GraspConfig) -> Bool[np.ndarray, " g"]:
         """Check that the contacts are large enough and face each other."""
-        pads = np.diff(hand.inner(1)[1], axis=0)[0]
-        return (self.area >= 1e-4 * config.pad_contact) & (self.apart < pads.min())
+        return (self.area >= 1e-4 * config.pad_contact) & (self.apart < _pad_width(hand))
+
+    def flaw(self, hand: HandBoxes, config: GraspConfig) -> str:
+        """Return why no contact is firm, with the setting or the size that decides."""
+        most = 1e4 * float(self.area.max())
+        if most < config.pad_contact:
+            return (
+                f"at most {most:.2f} cm^2 each, and motion.grasps.pad_contact is "
+                f"{config.pad_contact:g} cm^2"
+            )
+        large = self.area >= 1e-4 * config.pad_contact
+        return (
+            f"the two contacts are {1000 * self.apart[large].min():.0f} mm apart, and the pads are "
+            f"only {1000 * _pad_width(hand):.0f} mm wide"
+        )
+
+
+def _pad_width(hand: HandBoxes) -> float:
+    """Return the smaller extent of a pad's face [m]."""
+    return float(np.diff(hand.inner(1)[1], axis=0).min())
 
 
 def contact_of(
@@ -516,7 +534,7 @@ def _closed(
     contact = contact_of(hand, own, R[rows], p[rows], travel[rows], config.friction)
     kept = contact.is_firm(hand, config)
     if not kept.any():
-        return _none(f"the pads touch too little of {what}")
+        return _none(f"the pads touch too little of {what}: {contact.flaw(hand, config)}")
     rows, point = rows[kept], contact.point[kept]
     pulls = motion_directions(CarriedPart(model, joint, handle.carrier), sign, point)
     leans = np.abs(np.einsum("gi,vgi->vg", R[rows] @ hand.closing, pulls))
@@ -664,5 +682,5 @@ def _too_thick(robot: Robot, handle: Handle, what: str) -> str:
         return ""
     return (
         f"{what} is {100 * (least - robot.opening):.1f} cm too thick for the gripper of "
-        f"{robot.name} ({100 * least:.1f} cm, opens {100 * robot.opening:.1f} cm)"
+        f"{robot.name} ({100 * least:.1f} cm, opens {100 * robot.opening:.1f} cm by tool.opening)"
     )

@@ -243,7 +243,8 @@ def _pinched(
     contact = contact_of(hand, elements, R, p, travel, config.friction)
     firm = contact.is_firm(hand, config)
     if not firm.any():
-        return _none(lines, need, f"the pads of {robot.name} touch too little of it")
+        flaw = contact.flaw(hand, config)
+        return _none(lines, need, f"the pads of {robot.name} touch too little of it: {flaw}")
     firm &= contact.area >= MIN_CONTACT_SHARE * contact.area[firm].max()
     width = robot.opening - travel.sum(1)
     capacity = lifting_capacity(
