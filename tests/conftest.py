@@ -107,6 +107,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
             (folder / file.name).symlink_to(file)
     session.config.add_cleanup(lambda: _end_cache(folder, home))
     os.environ["MOMAPOS_CACHE"] = str(folder)
+    os.environ["MOMAPOS_MAPS_BEHIND"] = "0"
 
 
 def _end_cache(folder: Path, home: Path) -> None:

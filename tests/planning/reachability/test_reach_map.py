@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -281,3 +282,21 @@ def test_octahedral_points_are_unit_vectors_and_turns_approximate_arctan2() -> N
         x, y, z = oct_decode(u, v)
         assert abs(x * x + y * y + z * z - 1) < 1e-12
         assert abs((turns_of(y, x) - np.arctan2(y, x) / (2 * np.pi) + 0.5) % 1 - 0.5) < 5e-5
+
+
+def test_two_that_need_a_map_at_once_build_it_once(
+    husky: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = []
+    build = map_store.build_map
+
+    def counted(*words: object, **options: object) -> ReachMap:
+        built.append(1)
+        return build(*words, **options)
+
+    monkeypatch.setattr(map_store, "build_map", counted)
+    with ThreadPoolExecutor(2) as pool:
+        maps = list(pool.map(lambda _: load_reach_map(husky, tmp_path, config=TINY), range(2)))
+    assert len(built) == 1
+    assert maps[0].key == maps[1].key
+    assert not [file for file in tmp_path.iterdir() if file.name.endswith("-lock")]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from momapos.core import (
     FileFormatError,
@@ -25,6 +29,8 @@ if TYPE_CHECKING:
     from momapos.model.scene import Scene
     from momapos.planning.reachability import ArmLength, ReachMap
     from momapos.simulation import RunRecord
+
+T = TypeVar("T")
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
@@ -73,6 +79,72 @@ def load_arms_with_maps(
         with progress(f"reachability map of {one.title}") as report:
             maps.append(load_reach(one, None, report))
     return arms, maps
+
+
+FIRST_TIME = 10.0
+"""Processor time of the search with each arm before its map is built [s], which takes 20 to 110 s:
+of 35 solved openings of fetch and segway_ur5e, 30 take at most 1.4 s without a map, and 4 up to
+8 s."""
+BEHIND = "MOMAPOS_MAPS_BEHIND"
+"""Environment variable; 0 lets commands build no maps behind."""
+
+
+def plan_before_maps(
+    robot: str,
+    arm: str,
+    plan: Callable[[Sequence[tuple[Robot, ReachMap | ArmLength]], float], T],
+    is_solved: Callable[[T], bool],
+    *,
+    quick: bool = True,
+) -> T:
+    """Plan with a robot; for a new one first without maps, which take a minute to build.
+
+    If that solves the task, another process builds the maps meanwhile, for later commands.
+
+    Args:
+        robot: A library robot or a robot file.
+        arm: The name of an arm, or any.
+        plan: Plans with arms and their maps, with a limit of processor time for each arm [s].
+        is_solved: Whether an answer needs no map any more.
+        quick: Whether an answer without maps is of use; it may be farther from the best one.
+    """
+    from momapos.core import OutOfTimeError, time_left
+    from momapos.model.robots import load_arms
+    from momapos.planning.reachability import by_arm_length, has_reach, load_reach
+
+    arms = load_arms(robot, arm)
+    new = [one for one in arms if not has_reach(one)] if quick else []
+    if new:
+        ready = [
+            (one, by_arm_length(one, "it is being built") if one in new else load_reach(one))
+            for one in arms
+        ]
+        try:
+            found = plan(ready, FIRST_TIME)
+            if is_solved(found):
+                _build_behind(robot, new)
+                return found
+        except OutOfTimeError:
+            if time_left() <= 0.0:
+                raise
+    return plan(tuple(zip(*load_arms_with_maps(robot, arm), strict=True)), math.inf)
+
+
+def _build_behind(robot: str, arms: Sequence[Robot]) -> None:
+    """Let a process of low priority build the maps of arms, which outlives this one."""
+    if os.environ.get(BEHIND) == "0":
+        return
+    words = [f"--arm={arms[0].arm}"] if len(arms) == 1 and arms[0].arm else []
+    with suppress(OSError):
+        subprocess.Popen(
+            [sys.executable, "-m", "momapos", "reach", "build", robot, *words],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True, preexec_fn=partial(os.nice, 10),
+        )  # fmt: skip
+    print_warnings([
+        f"{arms[0].name}: answered without its reachability map, which is being built for later "
+        "commands; these answer faster, and may answer differently"
+    ])  # fmt: skip
 
 
 def other_robots(

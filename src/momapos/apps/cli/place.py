@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from tyro.conf import arg
 
@@ -27,12 +27,7 @@ from momapos.planning.placement import OURS
 from .base_pose_words import parse_base, parse_pose, parse_robust
 from .bounds import with_time_left, within_time
 from .configuration import NO_SETTINGS, PIPELINE, ConfigArgs, SearchOptions
-from .loading import (
-    load_arms_with_maps,
-    load_scene_with_joints,
-    other_robots,
-    print_warnings,
-)
+from .loading import load_scene_with_joints, other_robots, plan_before_maps, print_warnings
 from .options import (
     DEFAULT_SAMPLES,
     EXIT_STATUS,
@@ -413,6 +408,20 @@ class _ArmQuery:
         return given_up and self.config.place.method in OURS
 
 
+class _Answers(NamedTuple):
+    """The answers of all arms."""
+
+    arms: Sequence[tuple[Robot, ReachMap | ArmLength]]
+    query: _ArmQuery
+    scene: Scene
+    task: Task
+    answers: Sequence[PlacementResult]
+
+    def are_solved(self) -> bool:
+        """Return whether an arm has a plan."""
+        return any(answer.plan.status == "solved" for answer in self.answers)
+
+
 def _read_query(options: Options, scene: Scene, config: PipelineConfig) -> _ArmQuery:
     from momapos.model.records import ANYWHERE
 
@@ -485,25 +494,34 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
 
     walks = rank_kernels(config.ranking) if config.ranking.scorer in WALKERS else ()
     compile_once(tuple(dict.fromkeys((*ANSWER, *walks))))
-    arms = tuple(zip(*load_arms_with_maps(options.robot, options.arm), strict=True))
-    config = with_time_left(config)
-    query = _read_query(options, scene, config)
     watch, spent = Stopwatch(processor_time), list[float]()
 
-    def plan(scene: Scene, task: Task) -> list[PlacementResult]:
-        answers: list[PlacementResult] = []
-        for arm in arms:
-            try:
-                answers.append(query.plan(scene, task, *arm))
-            except OutOfTimeError:
-                if not answers:
-                    raise
-                break
-        spent.extend(answer.plan.timing.get("total", 0.0) for answer in answers)
-        return answers
+    def plan_all(arms: Sequence[tuple[Robot, ReachMap | ArmLength]], limit: float) -> _Answers:
+        within = min(config.timeout, limit)
+        query = _read_query(options, scene, (
+            replace(config, timeout=within) if limit < math.inf else with_time_left(config)
+        ))  # fmt: skip
 
+        def plan(scene: Scene, task: Task) -> list[PlacementResult]:
+            answers: list[PlacementResult] = []
+            for arm in arms:
+                try:
+                    answers.append(query.plan(scene, task, *arm))
+                except OutOfTimeError:
+                    if not answers:
+                        raise
+                    break
+            spent.extend(answer.plan.timing.get("total", 0.0) for answer in answers)
+            return answers
+
+        with busy(f"{arms[0][0].name}: planning", query.config.timeout):
+            return _Answers(arms, query, *plan_by_hypothesis(scene, task, plan))
+
+    quick = config.place.method in OURS and options.at is None and not task.farthest
+    found = plan_before_maps(options.robot, options.arm, plan_all, _Answers.are_solved, quick=quick)
+    config = with_time_left(config)
+    arms, query, scene, task, answers = found
     with busy(f"{arms[0][0].name}: planning", config.timeout):
-        scene, task, answers = plan_by_hypothesis(scene, task, plan)
         if query.needs_smaller_opening(task, answers):
             with watch.stage("largest value"):
                 answers = [with_max_opening(answer) for answer in answers]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, get_args
@@ -12,7 +13,7 @@ from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
 from .bounds import ended_by_interrupt, with_time_left, within_time
-from .loading import load_arms_with_maps
+from .loading import plan_before_maps
 from .options import (
     EXIT_STATUS,
     ObjectArg,
@@ -27,8 +28,10 @@ from .place import DEFAULT, Options, Shared, read_region, read_scene
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
+    from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.planning import PipelineConfig, Request, Tour
+    from momapos.planning.reachability import ArmLength, ReachMap
 
 THEN = "then"
 TIME_PER_PLAN = 0.1
@@ -207,20 +210,28 @@ def _plan(
 
     region = read_region(options, scene)
     compile_once(ANSWER)
-    tours = []
-    arms = load_arms_with_maps(options.robot, options.arm)
-    for robot, reach in zip(*arms, strict=True):
-        limited = with_time_left(config, later=TIME_PER_PLAN * len(requests))
-        try:
-            with busy(f"{robot.name}: planning", limited.timeout):
-                tours.append(plan_tour(
-                    scene, robot, requests, reach, region=region, config=limited,
-                    start=None if start is None else np.array(start), seed=options.seed,
-                ))  # fmt: skip
-        except OutOfTimeError:
-            if not tours:
-                raise
-            break
+
+    def plan_all(arms: Sequence[tuple[Robot, ReachMap | ArmLength]], limit: float) -> list[Tour]:
+        tours: list[Tour] = []
+        for robot, reach in arms:
+            limited = replace(config, timeout=min(config.timeout, limit * len(requests)))
+            if limit == math.inf:
+                limited = with_time_left(config, later=TIME_PER_PLAN * len(requests))
+            try:
+                with busy(f"{robot.name}: planning", limited.timeout):
+                    tours.append(plan_tour(
+                        scene, robot, requests, reach, region=region, config=limited,
+                        start=None if start is None else np.array(start), seed=options.seed,
+                    ))  # fmt: skip
+            except OutOfTimeError:
+                if not tours:
+                    raise
+                break
+        return tours
+
+    tours = plan_before_maps(
+        options.robot, options.arm, plan_all, lambda found: any(t.status == "solved" for t in found)
+    )
     order = tuple(EXIT_STATUS)
     spent = sum(one.seconds for one in tours)
     tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))

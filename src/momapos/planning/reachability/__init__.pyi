@@ -5,6 +5,7 @@ from .map_store import build_true_map as build_true_map
 from .map_store import by_arm_length as by_arm_length
 from .map_store import encode as encode
 from .map_store import evaluate as evaluate
+from .map_store import has_reach as has_reach
 from .map_store import load_reach as load_reach
 from .map_store import load_reach_map as load_reach_map
 from .map_store import map_key as map_key

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import math
@@ -9,7 +10,8 @@ import os
 import struct
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -413,6 +415,37 @@ def load_reach(
     return fallback
 
 
+def has_reach(robot: Robot, cache_dir: Path | None = None) -> bool:
+    """Check that `load_reach` builds nothing: there is a map, or there cannot be one."""
+    if no_map(robot):
+        return True
+    robot = robot.fully_open or robot
+    key, cache = map_key(robot, default_config(robot)), Cache(cache_dir)
+    if shipped(robot, key) is not None or cache.path(_entry(key)).exists():
+        return True
+    return _failed_limit(cache.get(f"{_entry(key)}{_LATE}")) >= BUILD_TIME_LIMIT
+
+
+_LATE = "-takes-long"
+
+
+def _entry(key: str) -> str:
+    """Return the cache entry of a map."""
+    return f"reach-{_BUILD}-{key}"
+
+
+@contextmanager
+def _alone(cache: Cache, entry: str) -> Iterator[None]:
+    """Let one process at a time build a map; the others wait for it."""
+    path = cache.path(f"{entry}-lock")
+    with ExitStack() as stack:
+        with suppress(OSError):  # the cache cannot be written: each builds its own
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
+            stack.callback(path.unlink, missing_ok=True)
+        yield
+
+
 def load_reach_map(
     robot: Robot,
     cache_dir: str | Path | None = None,
@@ -443,13 +476,31 @@ def load_reach_map(
     if ready is not None:
         return ready
     cache = Cache(folder)
-    entry, late = f"reach-{_BUILD}-{key}", f"reach-{_BUILD}-{key}-takes-long"
+    found = _cached(cache, _entry(key))
+    if found is not None:
+        return found
+    with _alone(cache, _entry(key)):
+        return _cached(cache, _entry(key)) or _built(robot, config, key, cache, progress, limit)
+
+
+def _cached(cache: Cache, entry: str) -> ReachMap | None:
+    """Return the map in the cache; None if there is none, or none that can be read."""
     data = cache.get(entry)
-    if data is not None:
-        try:
-            return decode(data)
-        except FileFormatError as error:
-            log.warning("%s: %s; rebuilding the map", cache.path(entry), error)
+    if data is None:
+        return None
+    try:
+        return decode(data)
+    except FileFormatError as error:
+        log.warning("%s: %s; rebuilding the map", cache.path(entry), error)
+        return None
+
+
+def _built(
+    robot: Robot, config: ReachConfig | None, key: str, cache: Cache, progress: Progress | None,
+    limit: float,
+) -> ReachMap:  # fmt: skip
+    """Build a map and cache it; see `load_reach_map`."""
+    entry, late = _entry(key), f"{_entry(key)}{_LATE}"
     try:
         if _failed_limit(cache.get(late)) >= limit:
             raise _timeout(robot, limit)
