@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
 
+_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""Begins what a clone has instead of a large file until Git LFS downloads it."""
 _CHUNK = 1 << 20
 """Size of one read; Python allocates the whole buffer of a read in advance [bytes]."""
 
@@ -103,6 +105,11 @@ def read_bytes_bounded(
             raise error(f"{path}: cannot be read ({reason.strerror})") from reason
     if len(data) > limit:  # it has grown meanwhile
         raise error(_too_large(path, limit))
+    if data.startswith(_LFS_POINTER):
+        raise error(
+            f"{path}: is a Git LFS pointer, not the file itself; run 'git lfs pull' in its "
+            "repository"
+        )
     return bytes(data)
 
 

@@ -150,6 +150,8 @@ class RobotLimits(FileRecord, forbid_unknown_fields=True):
     """[rad/s] or [m/s]"""
     acceleration: Positive | None = None
     """[rad/s^2] or [m/s^2]"""
+    effort: Positive | None = None
+    """[N m] or [N]"""
 
 
 class RobotArm(FileRecord):

@@ -8,24 +8,22 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from momapos.core import RobotError, parse_xml, require, resolved
-from momapos.model.urdf import MAX_MESH_PARENTS, MAX_PACKAGES, package_name
+from momapos.model.urdf import MAX_MESH_PARENTS, find_package, not_found
 
 MAX_SECONDS, MAX_MEMORY, MAX_RESULT_BYTES = 60, 2_000_000_000, 50_000_000
 """Limits: total time of all runs of a file [s], memory [bytes], and size of the result [bytes]."""
 MAX_RUNS = 30
-"""Maximum number of runs; each run can report one missing package [-]."""
+"""Maximum number of runs; each run reports the missing packages of the files that it has [-]."""
 MAX_SWITCHES = 6
 """Maximum number of switches that a message names [-]."""
-_MISSING = re.compile(r"Package not found: (\S+)")
+_SCHEME = "package://"
 _UNSET = re.compile(r"Undefined substitution argument\W+(\w+)")
 _PACKAGE = re.compile(r"[\w.-]*\w[\w.-]*")
 _SECRET = re.compile("AUTH|CREDENTIAL|KEY|PASS|SECRET|TOKEN", re.IGNORECASE)
@@ -107,11 +105,11 @@ def _with_packages(
     """Run the program until it misses no package; adds those that it missed."""
     for _ in range(MAX_RUNS):
         done = _run(path, known, args, until - time.monotonic(), old=old)
-        missing = _MISSING.search(done.get("error", ""))
-        if missing is None or missing[1] in known:
+        missing = [name for name in done["missing"] if name not in known]
+        if not missing:
             return done
-        known[missing[1]] = resolved(_package(missing[1], path), error=RobotError)
-    raise RobotError(f"{path}: names more than {MAX_RUNS} unknown packages")
+        known |= _packages(missing, path)
+    raise RobotError(f"{path}: needs packages of packages more than {MAX_RUNS} times")
 
 
 def _run(
@@ -155,34 +153,19 @@ def _folders(path: Path) -> list[Path]:
     return [first, *inner]
 
 
-def _package(name: str, path: Path) -> Path:
-    """Find the folder of a package among or next to the folders above a file."""
-    above = _folders(path)
-    if _PACKAGE.fullmatch(name):
-        for folder in above:
-            if folder.name == name or package_name(folder) == name:
-                return folder
-            if (folder / name).is_dir():
-                return folder / name
-            below = (one for one in islice(_listed(folder), MAX_PACKAGES) if one.is_dir())
-            for one in below:
-                if package_name(one) == name:
-                    return one
-        # Outside these folders, only what calls itself a package is one.
-        near = above[-1].parent / name
-        if package_name(near) == name:
-            return near
-    looked = ", ".join(map(str, above))
-    raise RobotError(
-        f"{path}: package {name!r:.80} was not found (searched {looked}); give its folder: "
-        f"--package {name:.80}=DIR of momapos robot check, [packages] in a robot file"
-    )
+def _packages(names: Sequence[str], path: Path) -> dict[str, Path]:
+    """Find the folders of packages among, next to or below the folders above a file.
 
-
-def _listed(folder: Path) -> Iterator[Path]:
-    """Yield what is in a folder, as far as it can be listed."""
-    with suppress(OSError):
-        yield from folder.iterdir()
+    Raises:
+        RobotError: Some are missing; the message names all of them.
+    """
+    folders = _folders(path)
+    found = {
+        name: find_package(name, folders) if _PACKAGE.fullmatch(name) else None for name in names
+    }
+    if missing := [name for name, folder in found.items() if folder is None]:
+        raise RobotError(f"{path}: {not_found(missing, folders)}")
+    return {name: resolved(folder, error=RobotError) for name, folder in found.items() if folder}
 
 
 def _named_by_packages(
@@ -192,12 +175,15 @@ def _named_by_packages(
     from xml.etree.ElementTree import tostring
 
     tree = parse_xml(text, path, error=RobotError)
-    used: dict[str, Path] = {}
+    names = [mesh.get("filename", "") for mesh in tree.iter("mesh")]
+    needed = dict.fromkeys(
+        name.removeprefix(_SCHEME).partition("/")[0] for name in names if name.startswith(_SCHEME)
+    )
+    used = {name: known[name] for name in needed if name in known}
+    used |= _packages([name for name in needed if name not in known], path)
     for mesh in tree.iter("mesh"):
         name = mesh.get("filename", "")
-        package = name.removeprefix("package://").partition("/")[0]
-        if name.startswith("package://"):
-            used[package] = known[package] if package in known else _package(package, path)
+        if name.startswith(_SCHEME):
             continue
         file = Path(os.path.normpath(_folders(path)[0] / name.removeprefix("file://")))
         package, folder = _holding(file, {**known, **used}, path)

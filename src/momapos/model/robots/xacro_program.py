@@ -456,6 +456,8 @@ MAX_CALLS, MAX_FILE_BYTES = 100_000, 20_000_000
 _OPTENV = re.compile(r"\$\(optenv\s+(\w+)\s*([^()]*)\)")
 ARGUMENT = "--xacro-arg "
 """Prefix of the switches that are arguments; the others are environment variables."""
+_NOWHERE = "/package_not_found/"
+"""Folder that stands for those of packages that were not found."""
 _OFF = ("", "0", "false", "none")
 """Defaults of switches that leave something out."""
 _FORBIDDEN = ("ctypes", "exec", "os", "pty", "shutil", "socket", "subprocess")
@@ -538,6 +540,8 @@ class Files:
         self.old_tags: set[str] = set()
         self.switches: dict[str, str] = {}
         """Arguments and environment variables that are off by default, with their defaults."""
+        self.missing: list[str] = []
+        """Packages that were not found; their files count as empty, so that all are named."""
         library.parse = self.parse
         library.handle_macro_call = self.call
 
@@ -545,6 +549,8 @@ class Files:
         """Read a file as xacro does, but no document with entities."""
         from defusedxml import minidom
 
+        if source is None and (filename or "").startswith(_NOWHERE):
+            source = "<robot/>"
         if source is None:
             try:
                 with open(os.path.join(self._library.root_dir, filename or ""), "rb") as file:
@@ -585,7 +591,9 @@ class Files:
         return self._call(node, macros, symbols)
 
 
-def confine(library: Any, substitution_args: Any, packages: Any, gate: FileGate) -> None:
+def confine(
+    library: Any, substitution_args: Any, packages: Any, gate: FileGate, missing: list[str]
+) -> None:
     """Evaluate the expressions of a library by our grammar, within its files.
 
     Args:
@@ -593,13 +601,18 @@ def confine(library: Any, substitution_args: Any, packages: Any, gate: FileGate)
         substitution_args: Its module for `$(...)`, which is changed.
         packages: The module that finds packages by name.
         gate: It learns the folders of the packages.
+        missing: Receives the names of packages that are not found.
     """
 
     def find(name: str) -> str:
         if not re.fullmatch(r"[\w.-]*\w[\w.-]*", name):
             raise Refused(f"{name!r:.80} is not the name of a package")
         with gate.trusted():
-            folder = os.path.realpath(packages.get_path(name))
+            try:
+                folder = os.path.realpath(packages.get_path(name))
+            except packages.PackageNotFoundError:
+                missing.append(name)
+                return f"{_NOWHERE}{name}"
         gate.roots.append(folder)
         return folder
 
@@ -672,7 +685,7 @@ def main() -> None:
     packages.update_package_cache(asked["packages"])
     gate = FileGate([*asked["roots"], *asked["packages"].values()])
     files = Files(xacrodoc.xacro, old=asked["old"])
-    confine(xacrodoc.xacro, xacrodoc.substitution_args, packages, gate)
+    confine(xacrodoc.xacro, xacrodoc.substitution_args, packages, gate, files.missing)
     answer: dict[str, Any] = {}
     gate.close()
     try:
@@ -686,7 +699,8 @@ def main() -> None:
     except Exception as error:
         answer = {"error": " ".join(str(error).split()) or type(error).__name__}
     off = {name: value for name, value in files.switches.items() if _is_open(name, asked["args"])}
-    json.dump({**answer, "old_tags": sorted(files.old_tags), "off": off}, sys.stdout)
+    facts = {"old_tags": sorted(files.old_tags), "off": off, "missing": files.missing}
+    json.dump({**answer, **facts}, sys.stdout)
 
 
 def _is_open(switch: str, args: dict[str, str]) -> bool:

@@ -26,11 +26,11 @@ from .meshes import mesh_points as mesh_points
 from .meshes import mesh_triangles as mesh_triangles
 from .meshes import parse_mesh as parse_mesh
 from .model_cache import once as once
-from .reader import MAX_MESH_PARENTS as MAX_MESH_PARENTS
-from .reader import MAX_PACKAGES as MAX_PACKAGES
+from .packages import MAX_MESH_PARENTS as MAX_MESH_PARENTS
+from .packages import find_package as find_package
+from .packages import not_found as not_found
 from .reader import MeshFinder as MeshFinder
 from .reader import box_urdf as box_urdf
-from .reader import package_name as package_name
 from .reader import read_urdf as read_urdf
 from .urdf_records import Geometry as Geometry
 from .urdf_records import Joint as Joint

@@ -13,14 +13,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import islice, pairwise
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from momapos.core import Cache, FileFormatError, UrdfError, parse_xml, read_text_bounded, resolved
+from momapos.core import Cache, FileFormatError, UrdfError, read_text_bounded, resolved
 
 from .model_cache import once
+from .packages import MAX_MESH_PARENTS, find_package, not_found
 from .urdf_records import Geometry, Joint, JointKind, Link, Mesh, Mimic, Urdf
 from .urdf_tree import (
     MAX_LINKS,
@@ -37,11 +38,6 @@ from .urdf_tree import (
     version_notes,
 )
 
-MAX_MESH_PARENTS = 4
-"""Meshes may be up to this many folders above the URDF's; packages have them next to `urdf` [-]."""
-MAX_PACKAGES = 200
-"""Number of folders that are searched for a package, in each of the URDF's parent folders [-]."""
-MAX_MANIFEST_BYTES = 100_000
 _SCHEME = re.compile(r"^(package|file|model)://")
 
 
@@ -88,18 +84,13 @@ class MeshFinder:
         if scheme and scheme[1] == "package" and name not in self.packages:
             package = self._package(name)
             if package is not None:
-                mesh = resolved(package / rest)
-                if self._allowed(mesh) and mesh.is_file():
+                mesh, home = resolved(package / rest), resolved(package)
+                if (mesh.is_relative_to(home) or self._allowed(mesh)) and mesh.is_file():
                     return mesh
                 raise UrdfError(
                     f"{self.path}: mesh {rest!r} does not exist in the package {package}"
                 )
-            looked = ", ".join(str(folder) for folder in self._folders)
-            raise UrdfError(
-                f"{self.path}: package {name!r} of mesh {filename!r} was not found (searched in "
-                f"{looked}); move it there, or give its folder: --package {name}=DIR of momapos "
-                "robot check, [packages] in a robot file"
-            )
+            raise UrdfError(f"{self.path}: mesh {filename!r}: {not_found([name], self._folders)}")
         beside = resolved(self.path).parent
         where = self.packages.get(name, self._root) if scheme else beside
         raise UrdfError(f"{self.path}: mesh {filename!r} does not exist below {where}")
@@ -123,13 +114,7 @@ class MeshFinder:
                 if found is None and self._look(kind, relative) is None:
                     lost[name] = None
         if len(lost) > 1:
-            looked = ", ".join(str(folder) for folder in self._folders)
-            options = " ".join(f"--package {name}=DIR" for name in lost)
-            raise UrdfError(
-                f"{self.path}: packages {', '.join(map(repr, lost))} were not found (searched in "
-                f"{looked}); move them there, or give their folders: {options} of momapos robot "
-                "check, [packages] in a robot file"
-            )
+            raise UrdfError(f"{self.path}: {not_found(list(lost), self._folders)}")
 
     def _elsewhere(self, path: str) -> Path | None:
         """Return the mesh of an absolute path of another machine, by a package folder in it."""
@@ -144,15 +129,15 @@ class MeshFinder:
         return None
 
     def _package(self, name: str) -> Path | None:
-        """Return the folder of a package near the URDF: by its own name, or as in `package.xml`."""
-        for folder in self._folders:
-            if folder.name == name and self._allowed(folder):
-                return folder
-            near = (folder, *islice(_subfolders(folder), MAX_PACKAGES))
-            for one in near:
-                if self._allowed(resolved(one)) and (one.name == name or package_name(one) == name):
-                    return one
-        return None
+        """Return the folder of a package; see `find_package`."""
+        if name not in self._packages:
+            self._packages[name] = find_package(name, self._folders, self._root)
+        return self._packages[name]
+
+    @cached_property
+    def _packages(self) -> dict[str, Path | None]:
+        """Packages that were searched."""
+        return {}
 
     @cached_property
     def _folders(self) -> list[Path]:
@@ -188,25 +173,6 @@ def _package_of(path: str) -> str:
     parts = [part for part in path.split("/") if part][:-1]
     before = [a for a, b in pairwise(parts) if b.lower() in ("mesh", "meshes")]
     return (before or parts or [""])[-1]
-
-
-def _subfolders(folder: Path) -> Iterator[Path]:
-    """Yield the folders in a folder, as far as they can be listed."""
-    with suppress(OSError):
-        yield from (one for one in folder.iterdir() if one.is_dir())
-
-
-def package_name(folder: Path) -> str | None:
-    """Return the name in the `package.xml` of a folder; None without one."""
-    manifest = folder / "package.xml"
-    try:
-        if not manifest.is_file():
-            return None
-        text = read_text_bounded(manifest, MAX_MANIFEST_BYTES, error=UrdfError)
-        tree = parse_xml(text, manifest, error=UrdfError)
-    except (OSError, UrdfError):
-        return None
-    return (tree.findtext("name") or "").strip() or None
 
 
 __all__ = [
