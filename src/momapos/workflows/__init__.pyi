@@ -1,6 +1,8 @@
 from .joint_belief import plan_by_hypothesis as plan_by_hypothesis
 from .joint_belief import save_learned as save_learned
 from .replanning import motion_from as motion_from
+from .robot_parts import is_mjcf as is_mjcf
+from .robot_parts import read_description as read_description
 from .robot_self_test import self_test as self_test
 from .run import NO_NOISE as NO_NOISE
 from .run import run_plan as run_plan

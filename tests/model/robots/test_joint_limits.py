@@ -94,12 +94,19 @@ def test_the_arm_moves_within_its_narrowest_limits(
     assert (robot.model.joint("j3").lower, robot.model.joint("j3").upper) == limits
 
 
+def test_a_robot_file_corrects_an_effort(tmp_path: Path) -> None:
+    robot = robot_of(tmp_path, mobile_manipulator(), "\n[limits]\nj3 = { effort = 40.0 }\n")
+    assert [robot.model.joint(name).effort for name in ("j2", "j3")] == [1.0, 40.0]
+    assert robot.model.joint("j3").upper == 2.5
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
         ("\n[limits]\nj9 = { lower = 0.0 }\n", "j9"),
         ("\n[limits]\nj3 = { speed = 1.0 }\n", "limits.j3.speed is not known"),
         ("\n[limits]\nj3 = { velocity = -1.0 }\n", "velocity must be a number > 0"),
+        ("\n[limits]\nj3 = { effort = 0.0 }\n", "effort must be a number > 0"),
         ("\n[limits]\nj3 = { lower = 3.0 }\n", "lower limit 3 above upper limit"),
     ],
 )

@@ -51,6 +51,11 @@ def test_a_xacro_file_becomes_a_urdf_next_to_the_robot_file(tmp_path: Path) -> N
             f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/></robot>',
             "package 'nobody' was not found",
         ),
+        (
+            f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/><xacro:include '
+            'filename="$(find noone)/y.xacro"/><xacro:of_nobody/></robot>',
+            "packages 'nobody', 'noone' were not found.*--package nobody=DIR --package noone=DIR",
+        ),
         (f"{HEAD}<xacro:nothing/></robot>", "cannot be expanded"),
         (f'{HEAD}<link name="$(arg name)"/></robot>', "give it: --xacro-arg name=VALUE"),
         ("<robot", "cannot be expanded"),

@@ -37,10 +37,11 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
         },
     ),
     "robot": (
-        "list, show, check and export robots",
+        "list, show, check, build and export robots",
         {
             "list": "robot:robot_list", "show": "robot:robot_show",
-            "check": "robot:robot_check", "export": "robot:robot_export",
+            "check": "robot:robot_check", "build": "robot_build:robot_build",
+            "export": "robot:robot_export",
         },
     ),
     "scan": ("build an articulated scene from a scan of a room", "scan:scan_room"),

@@ -53,6 +53,9 @@ if TYPE_CHECKING:
     LabelsArg = tuple[str, ...]
     PackagesArg = tuple[str, ...]
     XacroArg = tuple[str, ...]
+    PartsArg = tuple[str, ...]
+    PosesArg = tuple[str, ...]
+    LinksArg = tuple[str, ...]
     ObjectsArg = tuple[str, ...]
     SettingsArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
@@ -62,6 +65,9 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     LabelsArg = Annotated[Several, arg(metavar="OBJECT=LABEL")]
     PackagesArg = Annotated[Several, arg(metavar="NAME=DIR")]
     XacroArg = Annotated[Several, arg(metavar="NAME=VALUE")]
+    PartsArg = Annotated[Several, arg(metavar="[NAME=]FILE")]
+    PosesArg = Annotated[Several, arg(metavar="[PART=]X,Y,Z[,R,P,Y]")]
+    LinksArg = Annotated[Several, arg(metavar="[PART=][OTHER/]LINK")]
     ObjectsArg = Annotated[Several, arg(metavar="OBJECT")]
     SettingsArg = Annotated[Several, arg(metavar="FIELD=VALUE")]
 MAX_SEED = 2**63 - 1

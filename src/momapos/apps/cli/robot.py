@@ -21,9 +21,9 @@ from .console import progress
 from .options import BoxArg, Flag, OptionalFile, PackagesArg, RobotArg, XacroArg
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from momapos.model.robots import Robot, RobotTest
+    from momapos.model.robots import Derived, Expanded, Robot, RobotTest
 
 SOLVED = 0
 _ROW = "{:<14} {:>4} {:>6} {:>9} {:>12}  {:<12} {}"
@@ -100,13 +100,13 @@ def robot_check(
     plot: OptionalFile = None,
     json: Flag = False,
 ) -> int:
-    """Check a robot file, or derive one from a URDF or xacro file.
+    """Check a robot file, or derive one from a URDF, xacro or MJCF file.
 
     From a URDF, momapos guesses the base, the arms, their tools, a home configuration and the pairs
     of links that always touch. It prints every guess and writes the robot file for you to correct.
 
     Args:
-        file: A robot file (TOML), a URDF or a xacro file.
+        file: A robot file (TOML), a URDF, a xacro file, or MJCF with one robot.
         out: The robot file to write (default: the URDF's name with .toml).
         on_box: Put an arm without a base on a driving box of this size, LENGTHxWIDTHxHEIGHT [m].
         package: Folder of a ROS package that the file names, as NAME=DIR.
@@ -117,8 +117,8 @@ def robot_check(
     """
     check_outputs([out, plot])
     check_figure_path(plot)
-    packages = {name: Path(folder) for name, folder in _pairs(package, "--package").items()}
-    args, box = _pairs(xacro_arg, "--xacro-arg", empty=True), _box(on_box)
+    packages = package_folders(package)
+    args, box = pairs(xacro_arg, "--xacro-arg", empty=True), _box(on_box)
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
         if (out, on_box, package, xacro_arg, visual_hulls) != (None, None, (), (), False):
@@ -127,9 +127,55 @@ def robot_check(
                 f"{file} is a robot file"
             )
         find_named_robot(str(file))
+        return check_robot(file, None, plot, json=json)
+    from momapos.model.robots import Mount, RobotSource
+    from momapos.workflows import is_mjcf, read_description
+
+    mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
+    source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
+    robot = out or file.with_suffix(".toml")
+
+    def described() -> Expanded | None:
+        if not file.is_file() or not is_mjcf(file):
+            return None
+        return read_description(file, packages, args, f"{robot.stem}_meshes/")
+
+    def derive(**options: Any) -> tuple[Path, Derived]:
+        from momapos.model.robots import write_robot
+
+        return write_robot(source, out, args=args, expanded=described(), **options)
+
+    return check_robot(file, derive, plot, json=json)
+
+
+def package_folders(words: Sequence[str]) -> dict[str, Path]:
+    """Return the folders of --package by name.
+
+    Raises:
+        RobotError: A word is not NAME=DIR, or there is no such folder.
+    """
+    packages = {name: Path(folder) for name, folder in pairs(words, "--package").items()}
     for name, folder in packages.items():
         if not folder.is_dir():
             raise RobotError(f"--package {name}={folder}: no such folder")
+    return packages
+
+
+def check_robot(
+    file: Path,
+    derive: Callable[..., tuple[Path, Derived]] | None,
+    plot: Path | None,
+    *,
+    json: bool,
+) -> int:
+    """Derive a robot file if needed, test it, and print what is known about it.
+
+    Args:
+        file: The robot file, or what it is derived from.
+        derive: Writes the robot file, by `write_robot`; None if it exists.
+        plot: See `robot_check`.
+        json: See `robot_check`.
+    """
     from momapos.core import USER_CACHE
     from momapos.model.robots import blocking, examine, load_arms
     from momapos.workflows import self_test
@@ -142,19 +188,13 @@ def robot_check(
     tests: list[RobotTest] = []
     what = f"{file}: checking it, with its meshes,"
     with progress(f"robot check {file.name}") as report, within_bounds(what):
-        if derives:
-            from momapos.model.robots import Mount, RobotSource, write_robot
-
-            mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
-            source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
+        if derive is not None:
 
             def inspect(arms: Sequence[Robot]) -> None:
                 report(0.9, "self-test")
                 tests.extend(self_test(arms))
 
-            file, derived = write_robot(
-                source, out, args=args, cache=USER_CACHE, report=report, inspect=inspect
-            )
+            file, derived = derive(cache=USER_CACHE, report=report, inspect=inspect)
             guesses = derived.assumptions
         arms = load_arms(file)
         tests = tests or list(self_test(arms))
@@ -228,7 +268,7 @@ def _of_arm(text: str, robot: Robot) -> str:
     return f"{robot.arm}: {text}" if robot.arm else text
 
 
-def _pairs(words: Sequence[str], option: str, *, empty: bool = False) -> dict[str, str]:
+def pairs(words: Sequence[str], option: str, *, empty: bool = False) -> dict[str, str]:
     """Parse NAME=VALUE words, whose value may be empty or not."""
     pairs = {}
     for word in words:

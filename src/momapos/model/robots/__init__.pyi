@@ -1,6 +1,7 @@
 from .amended_urdf import Mount as Mount
 from .amended_urdf import portable as portable
 from .base_guess import drive_by_wheels as drive_by_wheels
+from .derive import Derived as Derived
 from .derive import RobotSource as RobotSource
 from .derive import write_robot as write_robot
 from .hand_openings import Pivot as Pivot
@@ -15,6 +16,9 @@ from .hand_openings import widest_stroke as widest_stroke
 from .load_limits import RobotLoads as RobotLoads
 from .load_limits import StateLoads as StateLoads
 from .load_limits import robot_loads as robot_loads
+from .parts import Part as Part
+from .parts import join_parts as join_parts
+from .parts import read_part as read_part
 from .robot import MAX_REACH as MAX_REACH
 from .robot import Grip as Grip
 from .robot import Robot as Robot
@@ -36,5 +40,6 @@ from .srdf import MAX_SRDF_BYTES as MAX_SRDF_BYTES
 from .srdf import claimed_apart as claimed_apart
 from .srdf import disable_lines as disable_lines
 from .srdf import read_srdf as read_srdf
+from .xacro import Expanded as Expanded
 from .xacro import expand_xacro as expand_xacro
 from .xacro import is_xacro as is_xacro

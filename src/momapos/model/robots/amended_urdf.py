@@ -118,7 +118,7 @@ class Amendments:
             if frame.parent not in links:
                 raise unknown_name("link", frame.parent, links, f"{urdf} (frame {frame.name!r})")
             tree.append(Element("link", name=frame.name))
-            _fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
+            fix(tree, frame.parent, frame.name, frame.xyz, frame.rpy)
             links.append(frame.name)
         _couple(tree, self.coupled, urdf)
         _limit(tree, self.limits, urdf)
@@ -246,14 +246,14 @@ def _mounted(arm: Element, mount: Mount, read: Callable[[Path], Element]) -> Ele
         base, carrier = _box(mount.box), BOX
     else:
         base = read(mount.urdf)
-        carrier = mount.link or _root(base)
+        carrier = mount.link or root_of(base)
         names = [link.get("name", "") for link in base.findall("link")]
         if carrier not in names:
             raise unknown_name("link", carrier, names, f"{mount.urdf} (mount.link)")
         carrier = _rename(base, arm).get(carrier, carrier)
-    root = _root(arm)
+    root = root_of(arm)
     base.set("name", arm.get("name", ""))
-    _fix(base, carrier, root, mount.xyz, mount.rpy)
+    fix(base, carrier, root, mount.xyz, mount.rpy)
     base.extend(part for part in arm if part.tag in ("link", "joint"))
     return base
 
@@ -267,7 +267,7 @@ def _box(size: Triple) -> Element:
     return base
 
 
-def _root(tree: Element) -> str:
+def root_of(tree: Element) -> str:
     """Return the link that no joint moves."""
     children = {child.get("link") for child in tree.findall("joint/child")}
     names = [link.get("name", "") for link in tree.findall("link")]
@@ -275,24 +275,35 @@ def _root(tree: Element) -> str:
 
 
 def _rename(base: Element, arm: Element) -> dict[str, str]:
-    """Rename links and joints of the base whose names the arm uses, too."""
+    """Rename links and joints of the base whose names the arm uses, too; return those of links."""
     renamed: dict[str, dict[str, str]] = {}
     for tag in ("link", "joint"):
         taken = {part.get("name") for part in arm.findall(tag)}
         names = [part.get("name", "") for part in base.findall(tag)]
         renamed[tag] = {name: f"{_PREFIX}{name}" for name in names if name in taken}
+    rename(base, renamed)
+    return renamed["link"]
+
+
+def rename(tree: Element, renamed: Mapping[str, Mapping[str, str]]) -> None:
+    """Rename links and joints of a URDF, wherever it names them.
+
+    Args:
+        tree: The URDF.
+        renamed: New names by old ones, for "link" and for "joint".
+    """
     places = (
         ("link", "link", "name"), ("joint", "joint", "name"), ("link", "joint/parent", "link"),
         ("link", "joint/child", "link"), ("joint", "joint/mimic", "joint"),
     )  # fmt: skip
     for tag, place, attribute in places:
-        for element in base.findall(place):
+        for element in tree.findall(place):
             name = element.get(attribute, "")
             element.set(attribute, renamed[tag].get(name, name))
-    return renamed["link"]
 
 
-def _fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> None:
+def fix(tree: Element, parent: str, child: str, xyz: Triple, rpy: Triple) -> None:
+    """Add a fixed joint between two links of a URDF [m], [rad]."""
     joint = SubElement(tree, "joint", name=f"{child}_fixed_to_{parent}", type="fixed")
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)

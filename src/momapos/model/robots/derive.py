@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -31,13 +32,19 @@ from .base_guess import (
 from .fingers import find_force, jaws
 from .gripper_guess import find_grip, find_grips, find_tool
 from .homes import NESTED, ArmToRest, find_homes, true_claims
-from .joint_tree import MIN_ARM_JOINTS, ArmChain, arm_names, find_anchor, find_arms
+from .joint_tree import MIN_ARM_JOINTS, ArmChain, NoArmError, arm_names, find_anchor, find_arms
 from .robot import Robot, load_arms
 from .robot_names import library_names
 from .robot_text import ArmText, RobotText
 from .running_gear import RunningGear, drawn_meshes, drive_plugin, find_running_gear
 from .srdf import Srdf, find_srdf, srdf_next_to, srdf_text
-from .xacro import Expanded, expand_xacro, is_xacro
+from .xacro import (
+    Expanded,
+    expand_xacro,
+    is_xacro,
+    off_by_default,
+    with_relative_meshes,
+)
 
 MAX_LINKS = 500
 ReportProgress = Callable[[float, str], None]
@@ -337,6 +344,7 @@ def write_robot(
     out: Path | None = None,
     *,
     args: Mapping[str, str] | None = None,
+    expanded: Expanded | None = None,
     seed: int = 0,
     cache: Cache | None = None,
     report: ReportProgress = lambda _share, _what: None,
@@ -345,12 +353,13 @@ def write_robot(
     """Derive a robot file from a URDF or xacro file and write it.
 
     An SRDF is written next to it if links in permanent contact are missing in the URDF's own SRDF;
-    for a xacro file also the expanded URDF.
+    for other files than URDFs also the expanded URDF.
 
     Args:
-        source: The URDF or xacro file, and its options.
-        out: The robot file; None for the URDF's name with `.toml`.
+        source: The file, and its options.
+        out: The robot file; None for the file's name with `.toml`.
         args: Arguments of the xacro file by name.
+        expanded: The URDF of a file that is none; a xacro file is expanded here.
         seed: Seed of the sampled arm states.
         cache: Stores expensive geometry.
         report: Receives the progress.
@@ -361,28 +370,47 @@ def write_robot(
 
     Raises:
         RobotError: A file exists already or cannot be written, or nothing can be derived.
+        NoArmError: The robot has no arm; the expanded URDF is written if `out` is given.
         UrdfError: The URDF is invalid.
     """
     source = RobotSource(source) if isinstance(source, Path) else source
     plain = source.urdf.with_suffix("") if is_xacro(source.urdf) else source.urdf
-    out = out or plain.with_suffix(".toml")
+    chosen, out = out is not None, out or plain.with_suffix(".toml")
     _refuse_existing(out)
     if out.parent.exists() and not out.parent.is_dir():
         raise RobotError(f"{out}: cannot be written ({out.parent} is no folder)")
-    files: dict[Path, str] = {}
-    if is_xacro(source.urdf):
-        urdf = out.with_suffix(".urdf")
+    urdf = out.with_suffix(".urdf")
+    if is_xacro(source.urdf) or expanded is not None:
         _refuse_existing(urdf)
+    if expanded is None and is_xacro(source.urdf):
         expanded = expand_xacro(source.urdf, source.packages, args or {})
-        files[urdf] = expanded.urdf
-        derived = _derive_expanded(source, urdf, expanded, out, seed, cache, report)
-    else:
-        derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
-    if derived.srdf:
-        srdf = out.with_name(derived.srdf)
-        _refuse_existing(srdf)
-        files[srdf] = srdf_text(out.stem, derived.pairs)
-    _write({**files, out: derived.toml}, out, cache, inspect)
+    alone: NoArmError | None = None
+    with _all_or_nothing() as write:
+        if expanded is None:
+            derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
+        else:
+            for name, text in expanded.meshes.items():
+                _refuse_existing(out.parent / name)
+                write(out.parent / name, text)
+            try:
+                derived = _derive_expanded(source, urdf, expanded, out, seed, cache, report)
+                write(urdf, expanded.urdf)
+            except NoArmError as error:
+                if (
+                    not chosen or source.urdf == urdf
+                ):  # a switch may bring the arm, or a part lack it
+                    raise
+                write(urdf, with_relative_meshes(expanded, urdf))
+                alone = error
+        if alone is None:
+            if derived.srdf:
+                srdf = out.with_name(derived.srdf)
+                _refuse_existing(srdf)
+                write(srdf, srdf_text(out.stem, derived.pairs))
+            write(out, derived.toml)
+            inspect(load_arms(out, cache=cache))
+    if alone is not None:
+        raise NoArmError(f"{alone}; its URDF is written to {urdf}") from alone
     return out, derived
 
 
@@ -395,7 +423,7 @@ def _derive_expanded(
     cache: Cache | None,
     report: ReportProgress,
 ) -> Derived:
-    """Derive a robot file from an expanded xacro file; say what the file leaves out by default."""
+    """Derive a robot file from an expanded file; say what the file leaves out by default."""
     near = source.urdf
     source = replace(
         source, urdf=urdf, packages=expanded.packages, content=expanded.urdf, near=near
@@ -403,11 +431,11 @@ def _derive_expanded(
     try:
         derived = derive_robot(source, out, seed=seed, cache=cache, report=report)
     except (RobotError, UrdfError) as error:  # the URDF is not written
-        off = f"; {near.name} leaves parts out by default: {expanded.off}" if expanded.off else ""
+        off = f"; {off_by_default(near, expanded)}" if expanded.off else ""
         raise type(error)(str(error).replace(str(urdf), str(near)) + off) from error
     notes = [*expanded.notes, *derived.assumptions]
     if expanded.off:
-        notes.append(f"xacro: {near.name} leaves parts out by default: {expanded.off}")
+        notes.append(f"xacro: {off_by_default(near, expanded)}")
     return replace(derived, assumptions=tuple(notes))
 
 
@@ -416,20 +444,24 @@ def _refuse_existing(path: Path) -> None:
         raise RobotError(f"{path}: exists already; remove it, or choose another file")
 
 
-def _write(
-    files: Mapping[Path, str],
-    out: Path,
-    cache: Cache | None,
-    inspect: Callable[[Sequence[Robot]], None],
-) -> None:
-    """Write files, the robot file last; remove all if it cannot be read back and inspected."""
+@contextmanager
+def _all_or_nothing() -> Iterator[Callable[[Path, str], None]]:
+    """Yield a function that writes files; after an error, all that it wrote is removed.
+
+    Raises:
+        RobotError: A file cannot be written.
+    """
     written: list[Path] = []
-    folders = [folder for folder in (out.parent, *out.parent.parents) if not folder.exists()]
+    folders: list[Path] = []
+
+    def write(path: Path, text: str) -> None:
+        new = [folder for folder in (path.parent, *path.parent.parents) if not folder.exists()]
+        folders[:0] = new
+        write_atomic(path, text.encode())
+        written.append(path)
+
     try:
-        for path, text in files.items():
-            write_atomic(path, text.encode())
-            written.append(path)
-        inspect(load_arms(out, cache=cache))
+        yield write
     except BaseException as error:  # also on an interrupt
         for path in written:
             path.unlink(missing_ok=True)

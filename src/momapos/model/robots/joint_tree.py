@@ -99,7 +99,7 @@ def find_arms(
     if len(legs) > 1 and not wheels:
         raise RobotError(_walks(model, legs, arms))
     if not arms:
-        raise RobotError(_no_arm(model, paths, wheels))
+        raise _no_arm(model, paths, wheels)
     if not wheels and _only_a_hand(model, anchor):
         raise RobotError(_hand_alone(model, "only fingers move"))
     named = [path for path in arms if path.hand]
@@ -275,20 +275,23 @@ def _walks(model: Articulated, legs: Sequence[_Path], arms: Sequence[_Path]) -> 
     )
 
 
-def _no_arm(model: Articulated, paths: Sequence[_Path], wheels: bool) -> str:
+class NoArmError(RobotError):
+    """A description has neither an arm nor a hand; it may be a base."""
+
+
+def _no_arm(model: Articulated, paths: Sequence[_Path], wheels: bool) -> RobotError:
     path = model.urdf.path
     hands = any(way.hand for way in paths) or any(_named(FINGER, j) for j in model.urdf.joints)
     most = max((len(_leaders(way.joints)) for way in paths), default=0)
     if wheels:
-        return (
-            f"{path}: the base has no arm: no chain of movable joints ends in a hand; add an arm "
-            "with the table [mount] of a robot file (docs/robots.md)"
+        return NoArmError(
+            f"{path}: the base has no arm: no chain of movable joints ends in a hand; put one on "
+            "it: momapos robot build --base FILE --arm FILE --at X,Y,Z (docs/robots.md)"
         )
     if hands and most < MIN_ARM_JOINTS:
-        return _hand_alone(
-            model, f"it has fingers, but no arm with at least {MIN_ARM_JOINTS} joints"
-        )
-    return (
+        why = f"it has fingers, but no arm with at least {MIN_ARM_JOINTS} joints"
+        return RobotError(_hand_alone(model, why))
+    return NoArmError(
         f"{path}: no chain of movable joints can be an arm: the longest has {most}, an arm needs "
         f"at least {MIN_ARM_JOINTS}; give the URDF of the whole robot, or write the robot file by "
         "hand (docs/robots.md)"

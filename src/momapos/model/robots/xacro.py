@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ _PROGRAM = "momapos.model.robots.xacro_program"
 
 @dataclass(frozen=True)
 class Expanded:
-    """A URDF that a xacro file expanded to."""
+    """A URDF that a xacro file, or one of another format, expanded to."""
 
     urdf: str
     """Its text, with mesh paths by package."""
@@ -44,6 +44,14 @@ class Expanded:
     off: str
     """Arguments and environment variables of the file that leave parts out by default, in words;
     "" for none."""
+    meshes: Mapping[str, str] = field(default_factory=dict)
+    """Content of mesh files to write, by their paths from the URDF, for formats with meshes of
+    their own."""
+
+
+def off_by_default(path: Path, expanded: Expanded) -> str:
+    """Return the words for what a file leaves out by default."""
+    return f"{path.name} leaves parts out by default: {expanded.off}"
 
 
 def is_xacro(path: Path) -> bool:
@@ -208,3 +216,16 @@ def _holding(file: Path, known: Mapping[str, Path], path: Path) -> tuple[str, Pa
         count += 1
         name = f"{file.parent.name}_{count}"
     return name, file.parent
+
+
+def with_relative_meshes(expanded: Expanded, urdf: Path) -> str:
+    """Return the URDF with meshes named by their paths from a file, instead of by package."""
+    from xml.etree.ElementTree import tostring
+
+    tree = parse_xml(expanded.urdf, urdf, error=RobotError)
+    for mesh in tree.iter("mesh"):
+        package, _, rest = mesh.get("filename", "").removeprefix(_SCHEME).partition("/")
+        if package in expanded.packages:
+            file = os.path.relpath(expanded.packages[package] / rest, resolved(urdf).parent)
+            mesh.set("filename", Path(file).as_posix())
+    return tostring(tree, encoding="unicode")

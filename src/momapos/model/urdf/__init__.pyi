@@ -29,6 +29,7 @@ from .model_cache import once as once
 from .packages import MAX_MESH_PARENTS as MAX_MESH_PARENTS
 from .packages import find_package as find_package
 from .packages import not_found as not_found
+from .packages import package_name as package_name
 from .reader import MeshFinder as MeshFinder
 from .reader import box_urdf as box_urdf
 from .reader import read_urdf as read_urdf

@@ -61,8 +61,13 @@ class MeshFinder:
         scheme, relative = _SCHEME.match(filename), _SCHEME.sub("", filename)
         kind = scheme[1] if scheme else ""
         absolute = kind == "file" and relative.startswith("/")
+        name, _, rest = relative.partition("/")
+        package = None
         try:
-            found = self._look(kind, relative) or (self._elsewhere(relative) if absolute else None)
+            if kind == "package" and name not in self.packages:
+                package = self._package(name)
+            found = self._in(package, rest) or self._look(kind, relative)
+            found = found or (self._elsewhere(relative) if absolute else None)
             folder, *_ = self._folders
             outside = not self._allowed(resolved(folder / relative))
         except (FileFormatError, OSError) as error:  # too long, cyclic links, a NUL
@@ -80,16 +85,9 @@ class MeshFinder:
             raise UrdfError(
                 f"{self.path}: mesh {filename!r} is outside {self._root}; move it inside"
             )
-        name, _, rest = relative.partition("/")
-        if scheme and scheme[1] == "package" and name not in self.packages:
-            package = self._package(name)
-            if package is not None:
-                mesh, home = resolved(package / rest), resolved(package)
-                if (mesh.is_relative_to(home) or self._allowed(mesh)) and mesh.is_file():
-                    return mesh
-                raise UrdfError(
-                    f"{self.path}: mesh {rest!r} does not exist in the package {package}"
-                )
+        if package is not None:
+            raise UrdfError(f"{self.path}: mesh {rest!r} does not exist in the package {package}")
+        if kind == "package" and name not in self.packages:
             raise UrdfError(f"{self.path}: mesh {filename!r}: {not_found([name], self._folders)}")
         beside = resolved(self.path).parent
         where = self.packages.get(name, self._root) if scheme else beside
@@ -127,6 +125,14 @@ class MeshFinder:
                 if self._allowed(mesh) and mesh.is_file():
                     return mesh
         return None
+
+    def _in(self, package: Path | None, rest: str) -> Path | None:
+        """Return a mesh of a package that was found."""
+        if package is None:
+            return None
+        mesh = resolved(package / rest)
+        inside = mesh.is_relative_to(resolved(package)) or self._allowed(mesh)
+        return mesh if inside and mesh.is_file() else None
 
     def _package(self, name: str) -> Path | None:
         """Return the folder of a package; see `find_package`."""

@@ -5,6 +5,7 @@ from .importing import write_room as write_room
 from .kinds import foreign_kind as foreign_kind
 from .kinds import kind_of_file as kind_of_file
 from .kinds import read_room as read_room
+from .mjcf import read_robot as read_robot
 from .nav2_map import MapGrid as MapGrid
 from .nav2_map import is_map as is_map
 from .nav2_map import read_map as read_map

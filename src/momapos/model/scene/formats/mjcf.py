@@ -1,7 +1,7 @@
-"""Read rooms in MJCF, MuJoCo's format, from the model that MuJoCo compiles.
+"""Read rooms and robots in MJCF, MuJoCo's format, from the model that MuJoCo compiles.
 
 Every body and every geom of the world becomes an object. If a body only contains several fixed
-bodies, these become objects instead.
+bodies, these become objects instead. A robot is one body of the world, with sites as frames.
 """
 
 from __future__ import annotations
@@ -167,6 +167,8 @@ class Tree:
     values: dict[str, float] = field(default_factory=dict)
     solid: list[int] = field(default_factory=list)
     """Geoms with collisions, by MuJoCo's index."""
+    bodies: dict[int, tuple[str, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
+    """Link of each body, and the body's pose in it."""
     _order: list[Joint] = field(default_factory=list)
     _link_names: Names = field(default_factory=Names)
     _joint_names: Names = field(default_factory=Names)
@@ -200,12 +202,29 @@ class Tree:
             wanted = link if parent is None else self._bare(self.model.body(number).name)
             name = self._link_names(wanted, f"body_{number}")
             T_link_body = self._add_joints(number, parent, T_parent_body, name)
+            self.bodies[number] = name, T_link_body
             first, count = self.model.body_geomadr[number], self.model.body_geomnum[number]
             self._add_link(name, number, range(first, first + count), T_link_body)
             waiting += [
                 (child, name, T_link_body @ self._offset(child))
                 for child in reversed(self.children[number])
             ]
+
+    def add_sites(self) -> None:
+        """Add the named sites of all bodies as links without shapes."""
+        none = np.array([1.0, 0.0, 0.0])
+        for k in range(self.model.nsite):
+            body, site = int(self.model.site_bodyid[k]), self._bare(self.model.site(k).name)
+            if body not in self.bodies or not site:
+                continue
+            parent, T_link_body = self.bodies[body]
+            link = self._link_names(site, "site")
+            self.links[link] = Link(link, (), ())
+            T = T_link_body @ pose_wxyz(
+                tuple(self.model.site_pos[k].tolist()), tuple(self.model.site_quat[k].tolist())
+            )
+            name = self._joint_names(f"{link}_fixed", "fixed")
+            self._order.append(Joint(name, "fixed", parent, link, T, none, 0.0, 0.0, math.inf))
 
     def _offset(self, body: int) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a body in its parent, with joints as in the file."""
@@ -336,17 +355,43 @@ def read_room(path: Path, root: Path) -> ImportedRoom:
         FileFormatError: The file is invalid; one line says what is wrong and where.
         MissingExtraError: MuJoCo is not installed.
     """
+    return _compiled(path, root).room()
+
+
+def read_robot(path: Path, root: Path) -> tuple[Urdf, Mapping[Path, Mesh], ImportReport]:
+    """Read a robot, or a part of one, in MJCF: the body of the world that has joints.
+
+    Sites become links without shapes, and limits of motors become efforts. MJCF has no speed
+    limits.
+
+    Args:
+        path: The file.
+        root: Folder that no file may leave.
+
+    Returns:
+        Its links and joints, its meshes by the names in its shapes, and what was left out.
+
+    Raises:
+        FileFormatError: The file is invalid, or not one robot; one line says why.
+        MissingExtraError: MuJoCo is not installed.
+    """
+    return _compiled(path, root, actuators=True).robot()
+
+
+def _compiled(path: Path, root: Path, *, actuators: bool = False) -> _MjcfReader:
+    """Compile a file; see `read_room` for errors."""
     with require("physics"):
         import mujoco
 
-    source = read_mjcf(path, root)
+    source = read_mjcf(path, root, actuators=actuators)
     text = tostring(source.tree, encoding="unicode")
     try:
         spec = mujoco.MjSpec.from_string(text, assets=source.meshes)
         model = spec.compile()
     except ValueError as error:
-        raise FileFormatError(f"{path}: MuJoCo rejects it: {error}") from error
-    return _MjcfReader(path, model, source, _weighed(spec)).room()
+        words = re.sub(r"\bmesh\d+\.\w+", lambda m: str(source.files.get(m[0], m[0])), str(error))
+        raise FileFormatError(f"{path}: MuJoCo rejects it: {words}") from error
+    return _MjcfReader(path, model, source, _weighed(spec))
 
 
 def _weighed(spec: Any) -> frozenset[int]:
@@ -409,6 +454,42 @@ class _MjcfReader:
         meshes = {file: mesh for file, mesh in self.shapes.meshes.items() if file in used}
         members = {key: value for key, value in own.items() if key in ("floor", "start", "areas")}
         return ImportedRoom(self.path.stem, objects, meshes, self.report, members)
+
+    def robot(self) -> tuple[Urdf, Mapping[Path, Mesh], ImportReport]:
+        """Return the robot; see `read_robot`."""
+        m = self.model
+        self.report.dropped.update(self.source.dropped)
+        moving = {int(m.body_rootid[body]) for body in m.jnt_bodyid[m.jnt_type > 1].tolist()}
+        roots = sorted(moving) or self.children[0]  # a mast has no joints
+        if len(roots) != 1:
+            names = ", ".join(repr(self._named(body)) for body in roots) or "none"
+            raise FileFormatError(
+                f"{self.path}: a robot is one body of the world; there are {len(roots)} ({names})"
+            )
+        name = self.source.tree.get("model") or self.path.stem
+        tree = Tree(m, self.shapes, self.children, name, "", self.report.approximated, self.weighed)
+        tree.add_body(roots[0], self._named(roots[0]))
+        tree.add_sites()
+        urdf = tree.object(np.eye(4), self._follows([tree]), {}).urdf
+        efforts = {tree.joints[k].name: self._effort(k) for k in tree.joints}
+        joints = tuple(replace(j, effort=efforts.get(j.name, math.inf)) for j in urdf.joints)
+        return replace(urdf, joints=joints), self.shapes.meshes, self.report
+
+    def _effort(self, joint: int) -> float:
+        """Return the largest torque or force of a joint's motors; infinite if unlimited."""
+        m, force = self.model, math.inf
+        if m.jnt_actfrclimited[joint]:
+            force = float(np.abs(m.jnt_actfrcrange[joint]).max())
+        for k in range(m.nu):
+            if int(m.actuator_trntype[k]) != 0 or int(m.actuator_trnid[k, 0]) != joint:
+                continue
+            largest = math.inf
+            if m.actuator_forcelimited[k]:
+                largest = float(np.abs(m.actuator_forcerange[k]).max())
+            elif m.actuator_ctrllimited[k] and not m.actuator_biastype[k]:  # a motor
+                largest = float(np.abs(m.actuator_ctrlrange[k] * m.actuator_gainprm[k, 0]).max())
+            force = min(force, largest * abs(float(m.actuator_gear[k, 0])))
+        return force
 
     def _trees(self, height: float) -> list[tuple[Tree, Float[np.ndarray, "4 4"]]]:
         """Return the objects on the floor, and their poses."""

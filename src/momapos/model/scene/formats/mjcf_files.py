@@ -30,6 +30,8 @@ MESHES = (".obj", ".stl", ".msh")
 _SECTIONS = {"compiler", "default", "asset", "worldbody", "equality"}
 _WORLD = {"body", "geom", "joint", "freejoint", "site", "frame", "replicate", "inertial"}
 _DEFAULTS = {"default", "geom", "joint", "site", "mesh", "equality"}
+_MOTORS = {"motor", "position", "velocity", "intvelocity", "general"}
+"""Actuators of joints, whose limits are the efforts of a robot."""
 _COMPILER = {"angle", "eulerseq", "autolimits", "inertiafromgeom"}
 """Settings that define the meaning of numbers; others concern files or speed."""
 _UNUSED = {"material", "hfield", "user"}
@@ -53,6 +55,8 @@ class Mjcf:
     tree: Element
     meshes: dict[str, bytes]
     """Content of each mesh file, by its name in the tree."""
+    files: dict[str, Path]
+    """Path of each mesh file, by its name in the tree."""
     dropped: Counter[str] = field(default_factory=Counter)
     driven: tuple[str, ...] = ()
     """Names of actuated joints."""
@@ -60,12 +64,13 @@ class Mjcf:
     """Additions of our own writer."""
 
 
-def read_mjcf(path: Path, root: Path) -> Mjcf:
+def read_mjcf(path: Path, root: Path, *, actuators: bool = False) -> Mjcf:
     """Read an MJCF model with all its files.
 
     Args:
         path: The file.
         root: Folder that no file may leave.
+        actuators: Whether the tree has the actuators of joints.
 
     Raises:
         FileFormatError: The file is invalid; one line says what is wrong and where.
@@ -81,12 +86,14 @@ def read_mjcf(path: Path, root: Path) -> Mjcf:
     meshdir = _last(tree, "meshdir") or _last(tree, "assetdir")
     flat = (_last(tree, "strippath") or "false") == "true"
     kept = _pruned(tree, dropped, path)
-    meshes = _meshes(kept, path, root, meshdir, flat=flat)
+    if actuators:
+        _add_motors(tree, kept, path)
+    meshes, files = _meshes(kept, path, root, meshdir, flat=flat)
     SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # bodies may have none
     own = [
         text.get("data") for text in tree.iterfind("custom/text") if text.get("name") == OWN_TEXT
     ]
-    return Mjcf(kept, meshes, dropped, driven, own[0] if own else None)
+    return Mjcf(kept, meshes, files, dropped, driven, own[0] if own else None)
 
 
 def _expand(tree: Element, path: Path, root: Path) -> None:
@@ -179,6 +186,16 @@ def _pruned(tree: Element, dropped: Counter[str], path: Path) -> Element:
     return kept
 
 
+def _add_motors(tree: Element, kept: Element, path: Path) -> None:
+    """Add the actuators of joints to the kept tree, with their defaults."""
+    section = SubElement(kept, "actuator")
+    for motor in tree.iterfind("actuator/*"):
+        if motor.tag in _MOTORS and motor.get("joint"):
+            words = {key: value for key, value in motor.items() if key not in _UNUSED}
+            _check_finite(motor, words, path)
+            SubElement(section, motor.tag, words)
+
+
 def _section(section: Element, dropped: Counter[str], path: Path) -> Element:
     top = Element(section.tag, dict(section.items()))
     waiting = [(section, top)]
@@ -206,7 +223,7 @@ def _wanted(section: str, element: Element, dropped: Counter[str], path: Path) -
     """Return whether an element of a section is kept; count it otherwise."""
     tag, kind = element.tag, element.get("type")
     if section == "default":
-        return tag in _DEFAULTS  # elements with other defaults are counted themselves
+        return tag in _DEFAULTS | _MOTORS  # elements with other defaults are counted themselves
     if section == "worldbody" and tag == "attach":
         raise FileFormatError(
             f"{path}: attaches another model; combine both in one file first, for example with "
@@ -239,9 +256,10 @@ def _word(section: str, tag: str) -> str:
 
 def _meshes(
     tree: Element, path: Path, root: Path, meshdir: str | None, *, flat: bool
-) -> dict[str, bytes]:
+) -> tuple[dict[str, bytes], dict[str, Path]]:
     """Read the meshes of a tree, and rename them in it."""
     content: dict[str, bytes] = {}
+    files: dict[str, Path] = {}
     total = 0
     for mesh in _mesh_elements(tree):
         name = mesh.get("file")
@@ -262,10 +280,10 @@ def _meshes(
                 f"{path}: its meshes have more than {MAX_ALL_MESH_BYTES / 1e6:g} MB"
             )
         key = f"mesh{len(content)}{suffix}"
-        content[key] = data
+        content[key], files[key] = data, file
         mesh.set("file", key)
         mesh.attrib.pop("content_type", None)
-    return content
+    return content, files
 
 
 def _mesh_elements(tree: Element) -> Iterator[Element]:
