@@ -281,7 +281,7 @@ def refuse_without_base(
         raise RobotError(
             f"{model.urdf.path}: the arm has no base: there are no wheels and no geometry on the "
             "floor; put it on a driving box with --on-box LENGTHxWIDTHxHEIGHT of momapos robot "
-            "check, or on another base by momapos robot build (docs/howto/build_robot.md)"
+            "check, or on another base by momapos robot build (docs/robots.md)"
         )
 
 
@@ -539,7 +539,7 @@ def find_drive(
     if not (_named_wheels(model) or boxed or anchor != model.urdf.root or model.urdf.rigid):
         notes.append(
             "IMPORTANT: there are no wheels; a mobile robot needs a base: --on-box of momapos "
-            "robot check or momapos robot build puts an arm on one"
+            "robot check or robot build puts an arm on one"
         )
     sideways = [
         joint.name
