@@ -13,6 +13,7 @@ from .keyword_forms import iter_placements as iter_placements
 from .keyword_forms import placement_tolerance as placement_tolerance
 from .keyword_forms import plan_base_placement as plan_base_placement
 from .keyword_forms import plan_by_method as plan_by_method
+from .keyword_forms import plan_reach as plan_reach
 from .keyword_forms import plan_tour as plan_tour
 from .max_opening import last_that_works as last_that_works
 from .max_opening import plan_max_opening as plan_max_opening

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from momapos.core import InputError, TaskError, expect
-from momapos.model.records import Attempt, ReachScorer, Task, Tolerance
+from momapos.model.records import Attempt, ReachScorer, Task, Tolerance, ToolPose
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.baselines import plan_with_method
@@ -21,6 +21,7 @@ from .chains import plan_chain
 from .iterate import placements
 from .plan import plan_placement
 from .query import PlacementQuery, QueryOptions, as_query
+from .reach_poses import plan_pose_stops
 from .result import PlacementResult
 from .tolerance import SAMPLES, tolerance_at
 from .tour import MAX_TASKS, Request, Tour, expanded
@@ -246,6 +247,48 @@ def plan_tour(
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not 0")
     first = make_task(scene, *expanded(tasks)[0])
     return plan_chain(as_query(scene, (robot, first, reach), options), tasks)
+
+
+def plan_reach(
+    scene: Scene,
+    robot: Robot,
+    poses: Sequence[ToolPose],
+    reach: ReachScorer | None = None,
+    *,
+    in_order: bool = False,
+    **options: Unpack[QueryOptions],
+) -> Tour:
+    """Return where the robot must stand to bring its tool to a set of poses, and how it moves.
+
+    The fewest stops that the search finds, of these with a short drive, and an order of the poses
+    at each with little motion of the arm.
+
+    Args:
+        scene: The scene.
+        robot: The mobile manipulator.
+        poses: The poses, see `load_poses`.
+        reach: The robot's reachability map; None to load it, or to build it at first use.
+        in_order: Whether the poses must be reached in this order.
+        options: Keywords of `PlacementQuery.of`; `config.timeout` is for the whole answer.
+
+    Returns:
+        One answer for each stop, whose task has the poses that are reached there, in their order.
+        A last one without a plan has the poses that no base pose serves.
+
+    Raises:
+        InputError: An argument is wrong.
+        RobotError: The arm has fewer than six joints.
+        SceneError: The robot collides at its start pose.
+        UnknownNameError: A pose touches an object that does not exist.
+        OutOfTimeError: The time was over.
+    """
+    expect("scene", scene, Scene, "load_scene reads one")
+    if isinstance(poses, str) or not isinstance(poses, Sequence) or not poses:
+        raise InputError("poses must be a sequence of ToolPose; load_poses reads one from a file")
+    for k, one in enumerate(poses):
+        expect(f"poses[{k}]", one, ToolPose)
+    task = Task("reach", "", poses=tuple(poses))
+    return plan_pose_stops(as_query(scene, (robot, task, reach), options), in_order=in_order)
 
 
 def _request(value: object) -> Request:

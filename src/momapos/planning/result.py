@@ -113,9 +113,8 @@ class PlacementResult:
 
     def __repr__(self) -> str:
         task = self.plan.task
-        what = task.object if task.joint is None else f"{task.object}/{task.joint}"
         name, status = self.plan.robot_name, self.plan.status
-        return f"<PlacementResult of {name}: {task.verb} {what}: {status}>"
+        return f"<PlacementResult of {name}: {task.verb} {task.target}: {status}>"
 
     def _repr_png_(self) -> bytes:
         """Return the figure that a notebook shows."""

@@ -91,6 +91,11 @@ class Tour:
         return status_of_all([step.plan for step in self.steps])
 
     @property
+    def done(self) -> int:
+        """Return how many tasks, or poses of the tool, have a plan."""
+        return sum(max(1, len(step.plan.task.poses)) for step in self.steps if step.plan.feasible)
+
+    @property
     def driving(self) -> float:
         """Return the total driving length [m]."""
         return sum(step.plan.navigation_cost or 0.0 for step in self.steps)

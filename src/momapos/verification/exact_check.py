@@ -394,9 +394,12 @@ class PlanVerifier:
         yield from time_checks(robot, motion, limits)
         yield from moving_base_checks(path, motion, self._drive, self._radius, limits)
         yield from paths.tool_checks(Ts_planned, motion, limits)
-        yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
-        yield paths.reach_check(part, motion, Ts_planned, limits)
-        yield from self._hand.checks(motion, path, placed.Ts_tool, placed.Ts_part_body)
+        if self.task.poses:
+            yield from paths.pose_checks(self.task.poses, motion, Ts_planned)
+        else:
+            yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
+            yield paths.reach_check(part, motion, Ts_planned, limits)
+            yield from self._hand.checks(motion, path, placed.Ts_tool, placed.Ts_part_body)
         Ts_body, where = self._part_path(placed.Ts_part_body, path)
         Ts_way = self.part.placed_at(Ts_body)
         yield self._part_check(motion, Ts_body, where)

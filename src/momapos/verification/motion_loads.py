@@ -281,8 +281,8 @@ class CarriedLoad:
 
     @property
     def mass(self) -> float | None:
-        """Return the mass of the object in the hand [kg]; None if the task moves a joint."""
-        if self.task.joint is not None:
+        """Return the mass of the object in the hand [kg]; None if there is none."""
+        if self.task.joint is not None or self.task.poses:
             return None
         return object_mass(self.item, self.resistance)[0]
 
@@ -291,10 +291,10 @@ class CarriedLoad:
     ) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, "s 3"]]:
         """Return the force on the hand [N] and where it acts [m] at each state, in the world."""
         point = Ts_world_tool[:, :3, 3].copy()
-        if self.task.joint is None:
+        if self.mass is not None:
             return self._weight(path, Ts_world_tool, point)
         force = np.zeros_like(point)
-        for hold in motion.grasps:
+        for hold in () if self.task.poses else motion.grasps:
             held = slice(hold.first, hold.last + 1)
             moves = motion.base is not None and bool(np.ptp(motion.base[held], axis=0).any())
             pull = self._pull(

@@ -184,7 +184,8 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
     part, own = split_object(target, task)
     fixed = [own.standing if item is target else obstacle(item) for item in scene.objects]
     counts = [len(shapes) for shapes in fixed]
-    own = replace(own, first=sum(counts[: scene.objects.index(target)]))
+    if target in scene.objects:  # not if the task moves no object
+        own = replace(own, first=sum(counts[: scene.objects.index(target)]))
     return part, join(fixed, [f"{item.name}/" for item in scene.objects]), own
 
 

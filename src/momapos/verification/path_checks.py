@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core.geometry import invert, rotation_about, rotation_angle, wrap_angle
 from momapos.model import deviation
-from momapos.model.records import Hold, Motion
+from momapos.model.records import Hold, Motion, ToolPose
 
 from .link_bodies import following
 from .moved_part import MovedPart
@@ -356,6 +357,31 @@ def _swing_angles(
     # Half angles: w = cos(t / 2) and n sin(t / 2) of the quaternion, both times 4 w.
     twist = 2.0 * np.arctan2(sine @ a, 1.0 + np.trace(M, axis1=1, axis2=2))
     return np.asarray(rotation_angle(rotation_about(a, twist) @ R[0], R))
+
+
+def pose_checks(
+    poses: Sequence[ToolPose], motion: Motion, Ts_world_tool: Float[np.ndarray, "m 4 4"]
+) -> Iterator[Check]:
+    """Check that the tool is at each requested pose, within its tolerance, in one hold each.
+
+    Args:
+        poses: What the task requests.
+        motion: Its holds are the states at the poses, in their order.
+        Ts_world_tool: Tool poses at the states of the manipulation, by the robot's kinematics.
+    """
+    at = [hold.first for hold in motion.holds]
+    in_order = all(0 <= a < b for a, b in pairwise([*at, len(motion.q)]))
+    met = len(at) == len(poses) and in_order
+    yield verdict("one hold for each pose", met, f"{len(at)} holds, {len(poses)} poses")
+    if not met:
+        return
+    rows = zip(poses, Ts_world_tool[at], strict=True)
+    excess = np.array([one.excess(T[None])[0] for one, T in rows])
+    for name, column, scale, unit in (("position", 0, 1e3, "mm"), ("rotation", 1, 180 / np.pi, "deg")):
+        worst = int(excess[:, column].argmax())
+        most = scale * max(float(excess[worst, column]), 0.0)
+        where = (poses[worst].name or f"pose {worst + 1}") if most > 0.0 else ""
+        yield at_most(f"tool beyond the tolerance in {name}", most, 0.0, unit, where, where)
 
 
 def reach_check(

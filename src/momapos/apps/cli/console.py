@@ -6,7 +6,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from momapos.model.records import Candidates, CostTerm, KeyObjects, PlacementPlan, Task
     from momapos.planning import PlacementResult
 
+MAX_NAMES = 12
+"""Number of poses that are listed [-]."""
 MAX_REASONS = 8
 """Printed reasons of rejected base poses [-]."""
 _DEFAULT_WEIGHTS = {
@@ -106,7 +108,8 @@ def summary(
             *([f"  base        {plan.base_motion}"] if plan.moves_base else []),
             f"  arm motion  {len(plan.motion.approach)} states to the grasp, then "
             f"{len(plan.motion.q)}{span}",
-            *_grasps(answer),
+            *([] if plan.task.poses else _grasps(answer)),
+            *_poses(answer),
             *_joint_type(answer),
             "  checked     base, arm and moving part along the whole motion, with exact geometry",
             *([f"  loads       {plan.loads}"] if plan.loads is not None else []),
@@ -116,7 +119,7 @@ def summary(
             *(f"  note        {words}" for words in answer.notes),
         ]
     else:
-        lines.append(f"  {plan.status:<11} {_why_not(answer)}")
+        lines += [f"  {plan.status:<11} {_why_not(answer)}", *_poses(answer)]
         miss = plan.candidates.nearest
         if miss is not None and plan.base_pose is None:
             lines.append(f"  nearest     {_pose(miss.base_pose)}: {miss.reason}")
@@ -136,6 +139,18 @@ def summary(
     if out is not None:
         lines.append(f"  plan        {out}")
     return "\n".join(lines)
+
+
+def _poses(answer: PlacementResult) -> list[str]:
+    """The poses to reach in their order, or those that are not reached."""
+    names = answer.plan.task.pose_names
+    return [f"  poses       {shown_names(names)}"] if names else []
+
+
+def shown_names(names: Sequence[str]) -> str:
+    """List names; of many the first ones and the last."""
+    some = names if len(names) <= MAX_NAMES else (*names[: MAX_NAMES - 2], "...", names[-1])
+    return ", ".join(some)
 
 
 def _grasps(answer: PlacementResult) -> list[str]:
@@ -272,8 +287,8 @@ def _pose(pose: tuple[float, float, float]) -> str:
 def task_text(answer: PlacementResult) -> str:
     """Write the task, such as "open fridge/door_hinge to 90 deg"."""
     task = answer.plan.task
-    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    return f"{task.verb} {what}" + ("" if task.to is None else f" to {_value(answer, task.to)}")
+    words = f"{task.verb} {task.target}"
+    return words if task.to is None else f"{words} to {_value(answer, task.to)}"
 
 
 def _question(answer: PlacementResult, most: bool) -> str:

@@ -16,11 +16,11 @@ from contextlib import redirect_stdout, suppress
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "plan base poses and motions to open, close, pick, place or bring an object",
+        "plan base poses and motions to open, close, pick, place or bring, or to reach poses",
         {
             "open": "place:place_open", "close": "place:place_close",
             "pick": "place:place_pick", "place": "place:place_place",
-            "bring": "tour:place_bring",
+            "bring": "tour:place_bring", "reach": "tour:place_reach",
         },
     ),
     "view": ("show a scene, a plan or a run on a web page; plan there", "view:view"),

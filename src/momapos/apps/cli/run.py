@@ -291,8 +291,7 @@ def refuse_existing(out: Path) -> None:
 def summary(record: RunRecord) -> str:
     """Summarize a run."""
     task = record.task
-    what = task.object if task.joint is None else f"{task.object}/{task.joint}"
-    lines = [f"{record.robot}: {task.verb} {what}: {record.verdict}"]
+    lines = [f"{record.robot}: {task.verb} {task.target}: {record.verdict}"]
     if record.assumed and record.success:
         lines.append(
             f"  assumed     the part is a {record.assumed}, which is improbable; whether the true "

@@ -16,15 +16,17 @@ from .bounds import ended_by_interrupt, with_time_left, within_time
 from .loading import plan_before_maps
 from .options import (
     EXIT_STATUS,
+    Flag,
     ObjectArg,
     PlaceArg,
+    PosesArg,
     SceneArg,
     Target,
     ValueArg,
     exit_status,
 )
 from .parse import parse
-from .place import DEFAULT, Options, Shared, read_region, read_scene
+from .place import DEFAULT, Options, Shared, read_region, read_scene, show, write
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
@@ -143,6 +145,40 @@ def place_bring(
     return _answer(scene, [("bring", target, to)], options)
 
 
+def place_reach(
+    scene: SceneArg,
+    poses: PosesArg,
+    /,
+    *,
+    in_order: Flag = False,
+    options: Shared = DEFAULT,
+) -> int:
+    """Bring the tool to a set of poses: from one base pose, or else from as few as possible.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        poses: A JSON, YAML or CSV file of tool poses, messages of ROS among them, or an array of
+            numpy.
+        in_order: Keep the order of the file.
+    """
+    for name, value in {"--lift": options.lift, "--base": options.base}.items():
+        if value is not None:
+            raise TaskError(f"{name} does not apply to reach; leave it out")
+    if options.tolerance:
+        raise TaskError("--tolerance does not apply to reach; leave it out")
+
+    def of_scene(room: Scene) -> Callable[..., Tour]:
+        from momapos.model.scene import load_poses
+        from momapos.planning import plan_reach
+
+        targets = load_poses(poses, room)
+        return lambda robot, reach, **how: plan_reach(
+            room, robot, targets, reach, in_order=in_order, **how
+        )
+
+    return _answer_with(scene, (), of_scene, 1, options)
+
+
 def _request(verb: str, target: str, to: str | None) -> Request:
     from momapos.planning import Request
 
@@ -169,21 +205,44 @@ def _check(options: Options, config: PipelineConfig) -> None:
 def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options) -> int:
     from momapos.planning import expanded
 
+    requests = [_request(*task) for task in tasks]
+
+    def of_scene(room: Scene) -> Callable[..., Tour]:
+        from momapos.planning import plan_tour
+
+        return lambda robot, reach, **how: plan_tour(room, robot, requests, reach, **how)
+
+    names = [request.object for request in requests]
+    return _answer_with(scene_name, names, of_scene, len(expanded(requests)), options)
+
+
+def _answer_with(
+    scene_name: str,
+    names: Sequence[str],
+    of_scene: Callable[[Scene], Callable[..., Tour]],
+    plans: int,
+    options: Options,
+) -> int:
+    """Plan a tour, write it and print it.
+
+    Args:
+        scene_name: A scene file or a built-in kitchen.
+        names: Objects that it must have.
+        of_scene: Returns what plans the tour of a robot in the scene.
+        plans: Least number of plans that are written next to the tour.
+        options: Options of the command.
+    """
     config = options.read_config()
     _check(options, config)
     start = None if options.start is None else parse_pose(options.start, "--start")
-    requests = [_request(*task) for task in tasks]
     outs = []
     if options.out is not None:
-        plans = range(1, 1 + len(expanded(requests)))
-        outs = [
-            options.out,
-            *(options.out.with_name(f"{options.out.stem}_{k}.json") for k in plans),
-        ]
+        numbered = (options.out.with_name(f"{options.out.stem}_{k + 1}.json") for k in range(plans))
+        outs = [options.out, *numbered]
     try:
         with within_time(config.timeout), ended_by_interrupt() as interrupted:
-            scene = read_scene(scene_name, [request.object for request in requests], options, outs)
-            tour = _plan(scene, requests, options, config, start)
+            scene = read_scene(scene_name, names, options, outs)
+            tour = _plan(scene, of_scene(scene), plans, options, config, start)
     except OutOfTimeError as late:
         say(json.dumps({"status": "timeout", "detail": str(late)}) if options.json else late)
         return EXIT_STATUS["timeout"]
@@ -195,7 +254,8 @@ def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], optio
 
 def _plan(
     scene: Scene,
-    requests: list[Request],
+    plan_with: Callable[..., Tour],
+    plans: int,
     options: Options,
     config: PipelineConfig,
     start: list[float] | None,
@@ -203,7 +263,7 @@ def _plan(
     """Plan a tour with each arm, and return the best one."""
     import numpy as np
 
-    from momapos.planning import plan_tour, with_tolerance
+    from momapos.planning import with_tolerance
 
     from .compile import ANSWER, compile_once
     from .console import busy
@@ -214,13 +274,13 @@ def _plan(
     def plan_all(arms: Sequence[tuple[Robot, ReachMap | ArmLength]], limit: float) -> list[Tour]:
         tours: list[Tour] = []
         for robot, reach in arms:
-            limited = replace(config, timeout=min(config.timeout, limit * len(requests)))
+            limited = replace(config, timeout=min(config.timeout, limit * plans))
             if limit == math.inf:
-                limited = with_time_left(config, later=TIME_PER_PLAN * len(requests))
+                limited = with_time_left(config, later=TIME_PER_PLAN * plans)
             try:
                 with busy(f"{robot.name}: planning", limited.timeout):
-                    tours.append(plan_tour(
-                        scene, robot, requests, reach, region=region, config=limited,
+                    tours.append(plan_with(
+                        robot, reach, region=region, config=limited,
                         start=None if start is None else np.array(start), seed=options.seed,
                     ))  # fmt: skip
             except OutOfTimeError:
@@ -234,7 +294,7 @@ def _plan(
     )
     order = tuple(EXIT_STATUS)
     spent = sum(one.seconds for one in tours)
-    tour = min(tours, key=lambda t: (-len(t.steps), order.index(t.status), max(t.stops), t.driving))
+    tour = min(tours, key=lambda t: (-t.done, order.index(t.status), max(t.stops), t.driving))
     tour = replace(tour, seconds=spent)
     if options.tolerance:
         with busy(f"{tour.steps[0].plan.robot_name}: tolerance"):
@@ -245,6 +305,10 @@ def _plan(
 
 
 def _deliver(tour: Tour, options: Options) -> None:
+    if len(tour.steps) == 1 and tour.steps[0].plan.task.poses:
+        answer = write(tour.steps[0], options.out, as_json=options.json)
+        show(answer, options.out, as_json=options.json, most=False, tried="")
+        return
     import json
     from pathlib import Path
 
@@ -271,12 +335,14 @@ def _deliver(tour: Tour, options: Options) -> None:
 
 def _summary(tour: Tour, options: Options) -> str:
     """Summarize a tour: each stop and its tasks, and why a task has no plan."""
-    from .console import also_for_tolerance, pose_text, summary, task_text
+    from .console import also_for_tolerance, pose_text, shown_names, summary, task_text
 
     name = tour.steps[0].plan.robot_name
     done = [step for step in tour.steps if step.plan.feasible]
     stops = max(tour.stops[: len(done)], default=0)
-    counted = f"{len(done)} tasks from {stops} base pose{'s' if stops != 1 else ''}"
+    poses = sum(len(step.plan.task.poses) for step in done)
+    what = f"{poses} poses" if tour.steps[0].plan.task.poses else f"{len(done)} tasks"
+    counted = f"{what} from {stops} base pose{'s' if stops != 1 else ''}"
     lines = [f"{name}: {counted}: {tour.status}", ""]
     for before, stop, step in zip((0, *tour.stops), tour.stops, done, strict=False):
         plan = step.plan
@@ -287,7 +353,8 @@ def _summary(tour: Tour, options: Options) -> str:
                 f"  stop {stop}      {pose_text(plan.base_pose)}; drive "
                 f"{plan.navigation_cost:.2f} m{_stop_tolerance(here)}"
             )
-        lines += [f"    {task_text(step)}; {words}" for words in step.holds[:1]]
+        holds = [shown_names(plan.task.pose_names)] if plan.task.poses else step.holds[:1]
+        lines += [f"    {task_text(step)}; {words}" for words in holds]
         lines += [f"    assumed: {plan.assumes}"] if plan.assumes else []
         lines += [f"    note: {words}" for words in step.notes]
     lines += [f"  assumed     {words}" for words in tour.assumed]

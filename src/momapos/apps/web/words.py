@@ -141,7 +141,7 @@ def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
 
 def target_text(task: Task) -> str:
     """Return the target of a task as "object" or "object/joint"."""
-    return task.object if task.joint is None else f"{task.object}/{task.joint}"
+    return task.target
 
 
 def run_card(record: RunRecord) -> Card:

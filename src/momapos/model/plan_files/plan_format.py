@@ -340,8 +340,10 @@ def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
 
 def _task_to_dict(task: Task) -> dict[str, Any]:
     members = asdict(task)
-    if not task.follower:
-        del members["follower"]
+    members["object"] = task.object or None
+    for name in ("follower", "poses"):
+        if not members[name]:
+            del members[name]
     return members
 
 
@@ -489,7 +491,7 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
 
     names = {
         "scene": data.scene, "robot.urdf": data.robot.urdf, "robot.base_link": data.robot.base_link,
-        "robot.tool_link": data.robot.tool_link, "task.object": data.task.object,
+        "robot.tool_link": data.robot.tool_link, "task.object": data.task.object or "-",
         "robot.file": data.robot.file or "-", "robot.srdf": data.robot.srdf or "-",
     }  # fmt: skip
     for key, name in names.items():
@@ -508,6 +510,10 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
         "robot.drive is missing; a plan whose base moves needs it",
     )
     need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
+    need(
+        (data.task.verb == "reach") == bool(data.task.poses) == (not data.task.object),
+        "task.poses must be the tool poses of reach, whose task.object is null",
+    )
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
     moves = data.task.verb in ("open", "close")
     need(
@@ -535,7 +541,7 @@ def _record(data: members.Plan, path: Path) -> PlacementPlan:
         robot_urdf=_located(robot.urdf, folder),
         base_link=robot.base_link,
         tool_link=robot.tool_link,
-        task=Task(**msgspec.structs.asdict(data.task)),
+        task=Task(**msgspec.structs.asdict(data.task) | {"object": data.task.object or ""}),
         status=_status(data),
         joints=tuple(data.joints),
         base_pose=_triple(data.base_pose),

@@ -13,6 +13,7 @@ from momapos.model.records import (
     Overrides,
     PartKind,
     Status,
+    ToolPose,
     Verb,
 )
 
@@ -47,8 +48,8 @@ class PlanTask(msgspec.Struct):
 
     verb: Verb
     """What to do."""
-    object: str
-    """The object."""
+    object: str | None
+    """The object; null if only the robot moves."""
     joint: str | None = None
     """The joint to move; null for a rigid object."""
     to: float | None = None
@@ -57,6 +58,8 @@ class PlanTask(msgspec.Struct):
     """Whether this is the largest value that works."""
     follower: str = ""
     """Joint that the user named, which follows `joint`; empty if none."""
+    poses: tuple[ToolPose, ...] = ()
+    """Tool poses to reach, in the order of `manipulation.holds`, at whose states the tool is there."""
 
 
 class PlanPose(msgspec.Struct):

@@ -33,6 +33,7 @@ from .plans import Status as Status
 from .plans import Task as Task
 from .plans import Verb as Verb
 from .plans import status_of_all as status_of_all
+from .poses import ToolPose as ToolPose
 from .protocols import ArticulationPredictor as ArticulationPredictor
 from .protocols import Detector as Detector
 from .protocols import GraspSource as GraspSource

@@ -24,6 +24,7 @@ from momapos.core import (
 )
 
 from .outcomes import CostTerm, NearestMiss, PoseOutcome, Tolerance
+from .poses import ToolPose
 from .scans import Hypothesis, PartKind
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ FAMILIES: tuple[Family, ...] = tuple(one for one in Family if one)
 """The families that a plan may name."""
 
 
-Verb = Literal["open", "close", "pick", "place"]
+Verb = Literal["open", "close", "pick", "place", "reach"]
 RequestVerb = Literal[Verb, "bring"]
 """What can be requested; to bring an object is to pick it up and to place it."""
 
@@ -104,23 +105,42 @@ class Task:
     verb: Verb
     """What to do."""
     object: str
-    """The object that is moved, or has the joint."""
+    """The object that is moved, or has the joint; "" if only the robot moves."""
     joint: str | None = None
-    """The joint that must move; None for pick and place."""
+    """The joint that must move; None for pick, place and reach."""
     to: float | None = None
     """The value the joint must reach [rad] or [m]."""
     farthest: bool = False
     """Whether `to` is an upper bound, up to which the joint must move as far as possible."""
     follower: str = ""
     """The requested joint, if it is a mimic joint that follows `joint`."""
+    poses: tuple[ToolPose, ...] = ()
+    """The tool poses to reach, in their order in a plan; none for other verbs."""
 
     def __post_init__(self) -> None:
         one_of("Task.verb", self.verb, get_args(Verb))
         expect("Task.object", self.object, str)
+        if (self.verb == "reach") != bool(self.poses) or bool(self.poses) == bool(self.object):
+            raise InputError(
+                f"Task: reach needs poses and no object, other tasks an object; this is "
+                f"{self.verb} {self.object!r:.60} with {len(self.poses)} poses"
+            )
         if self.joint is not None:
             expect("Task.joint", self.joint, str)
         if self.to is not None:
             object.__setattr__(self, "to", finite_number("Task.to", self.to))
+
+    @property
+    def pose_names(self) -> tuple[str, ...]:
+        """Return the names of the poses, by default their numbers from 1."""
+        return tuple(one.name or f"pose {k}" for k, one in enumerate(self.poses, 1))
+
+    @property
+    def target(self) -> str:
+        """Return what the task is about, in words: an object, its joint, or a number of poses."""
+        if self.poses:
+            return f"{len(self.poses)} pose{'s' if len(self.poses) > 1 else ''}"
+        return self.object if self.joint is None else f"{self.object}/{self.joint}"
 
 
 Outline: TypeAlias = tuple[tuple[float, float], ...]
@@ -577,10 +597,8 @@ class PlacementPlan:
         return words if found.is_first else words + other
 
     def __repr__(self) -> str:
-        what = (
-            self.task.object if self.task.joint is None else f"{self.task.object}/{self.task.joint}"
-        )
-        return f"<PlacementPlan of {self.robot_name}: {self.task.verb} {what}: {self.status}>"
+        what = f"{self.task.verb} {self.task.target}"
+        return f"<PlacementPlan of {self.robot_name}: {what}: {self.status}>"
 
 
 def status_of_all(plans: Sequence[PlacementPlan]) -> Status:

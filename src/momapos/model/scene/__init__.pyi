@@ -35,6 +35,7 @@ from .other_motion import scene_with_part_motion as scene_with_part_motion
 from .other_motion import with_assumptions as with_assumptions
 from .other_motion import with_overrides as with_overrides
 from .other_motion import with_part_motion as with_part_motion
+from .pose_files import load_poses as load_poses
 from .resistance_config import ResistanceConfig as ResistanceConfig
 from .resistance_config import assumed_with as assumed_with
 from .scene import Scene as Scene

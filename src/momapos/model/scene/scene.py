@@ -76,12 +76,12 @@ class Scene:
         return png
 
     def object(self, name: str) -> SceneObject:
-        """Return an object by name.
+        """Return an object by name; for "" one without shapes, which no task of the robot alone moves.
 
         Raises:
             UnknownNameError: The object does not exist; the message suggests similar names.
         """
-        item = self._by_name.get(name)
+        item = self._by_name.get(name, None if name else NOTHING)
         if item is None:
             raise unknown_name("object", name, [o.name for o in self.objects], f"scene {self.name}")
         return item
@@ -253,6 +253,8 @@ class Scene:
         return scene
 
 
+NOTHING: SceneObject = SceneObject.nothing()
+"""The object of tasks that move none."""
 _MAX_BYTES = 1_000_000
 
 

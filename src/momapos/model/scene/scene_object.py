@@ -17,6 +17,8 @@ from momapos.model.records import Confidence, Hypothesis, JointResistance, Latch
 from momapos.model.urdf import (
     Articulated,
     Boxes,
+    Link,
+    Urdf,
     box_urdf,
     mesh_model,
     read_furniture,
@@ -254,6 +256,12 @@ class SceneObject:
             )
         T = _planar_pose(xyz, yaw)
         return cls(name, category, T, Articulated(box_urdf(name, (x, y, z))))
+
+    @classmethod
+    def nothing(cls) -> SceneObject:
+        """Return an object without a name and without shapes."""
+        urdf = Urdf("", None, "nothing", {"nothing": Link("nothing", (), ())}, ())
+        return cls("", "", np.eye(4), Articulated(urdf))
 
     @classmethod
     def of_wall(cls, name: str, wall: Wall) -> SceneObject:

@@ -422,7 +422,7 @@ def task_arrays(motion: TaskMotion, robot: ArmModel, world: CollisionWorld) -> T
 def _ends_first(count: int) -> list[int]:
     """Order range(count): grasp, last, first, then by bisection."""
     order, stride = [1, count - 1, 0], count - 1
-    order = list(dict.fromkeys(order))
+    order = [layer for layer in dict.fromkeys(order) if layer < count]
     while stride > 1:
         stride = (stride + 1) // 2
         order += [i for i in range(0, count, stride) if i not in order]

@@ -10,6 +10,9 @@ from .motion_record import no_turning as no_turning
 from .own_grasps import SAME_LINE as SAME_LINE
 from .own_grasps import own_poses as own_poses
 from .own_grasps import shifted_along as shifted_along
+from .pose_targets import PoseTargets as PoseTargets
+from .pose_targets import pose_targets as pose_targets
+from .pose_targets import tool_poses_of as tool_poses_of
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
 from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT

@@ -1,9 +1,11 @@
+from .area import OFF_FLOOR as OFF_FLOOR
 from .area import BaseStatus as BaseStatus
 from .area import PlacementGeometry as PlacementGeometry
 from .area import arm_radius as arm_radius
 from .area import base_pose_status as base_pose_status
 from .area import reachable_rectangle as reachable_rectangle
 from .area import sampling_box as sampling_box
+from .area import standing_codes as standing_codes
 from .area import task_frame as task_frame
 from .area import within_reach as within_reach
 from .config import OURS as OURS
@@ -18,6 +20,7 @@ from .grasp_scores import sees as sees
 from .grasp_scores import turning_grasp_scorer as turning_grasp_scorer
 from .grasp_scores import two_grasp_scorer as two_grasp_scorer
 from .pose_cost import cost_terms as cost_terms
+from .pose_cover import fewest_serving_all as fewest_serving_all
 from .pose_search import is_within_reach as is_within_reach
 from .pose_search import iter_searches as iter_searches
 from .pose_search import search as search
@@ -30,4 +33,5 @@ from .problem import PoseOutcomes as PoseOutcomes
 from .problem import PoseRule as PoseRule
 from .problem import Problem as Problem
 from .problem import Search as Search
+from .problem import rules as rules
 from .shortlist import BASE_OUTCOMES as BASE_OUTCOMES

@@ -1,0 +1,486 @@
+"""Plan where a robot stands to bring its tool to a set of poses, and how its arm moves there.
+
+The fewest stops, of these a short drive. Base poses are sampled around the tool poses, and the
+reachability map says which of them each serves (all base poses for all tool poses at once). What is
+chosen by that is checked: inverse kinematics and collisions, then the arm's motion, the drive and
+the exact check. What fails is no longer served from there, and the choice is made again, so that
+few base poses are checked (lazy evaluation, as in LazySP: Dellin and Srinivasa 2016).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from momapos.core import InputError, OutOfTimeError, RobotError, look
+from momapos.core.geometry import halton
+from momapos.core.shortest_order import shortest_order
+from momapos.model import with_close_states
+from momapos.model.collision import FREE, check
+from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus, Task
+from momapos.model.urdf import Boxes
+from momapos.planning.arm_motion import PoseArm, PosesRefused, PoseSequence, free_hands, world_tools
+from momapos.planning.grasps import FULL_DOF, PoseTargets, pose_targets, tool_poses_of
+from momapos.planning.navigation import BasePath, TravelLengths, plan_path
+from momapos.planning.placement import (
+    PlacementGeometry,
+    PoseOutcomes,
+    Search,
+    arm_radius,
+    fewest_serving_all,
+    OFF_FLOOR,
+    rules,
+    standing_codes,
+)
+
+from .query import PlacementQuery
+from .result import PlacementResult, plan_of
+from .task_setup import PreparedTask, collision_world, cost_map, start_pose
+from .tour import Tour
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+SAMPLES_PER_AREA, MIN_SAMPLES, MAX_SAMPLES = 800.0, 4_096, 32_768
+"""Base poses that are sampled: a number per area from which some tool pose may be within reach
+[1/m^2], and bounds [-]. With 800 they are 10 cm and 45 degrees apart."""
+ALTERNATIVES = 12
+"""Base poses that are checked along with each chosen one, those that could replace it [-]."""
+PASSES = 3
+"""How often each stop is exchanged for one with a shorter drive [-]."""
+MIN_GAIN = 0.01
+"""A stop is exchanged if that shortens the drive by more [m]."""
+_LOOKUPS = 4_000_000
+"""Pairs of base pose and tool pose whose scores are in memory at a time [-]."""
+
+
+def plan_pose_stops(query: PlacementQuery, *, in_order: bool = False) -> Tour:
+    """Return from where a robot reaches the poses of a task, and how it moves there.
+
+    The fewest stops that the search finds, of these with a short drive. The order of the poses is
+    free unless it is fixed.
+
+    Args:
+        query: The question; its task has the poses.
+        in_order: Whether the poses must be reached in the order of the task.
+
+    Returns:
+        One answer for each stop, whose task has the poses that are reached there, in their order.
+        A last one without a plan has the poses that no base pose serves.
+
+    Raises:
+        InputError: The region limits the angle to the grasp.
+        RobotError: The arm has fewer than six joints, so that it reaches no given pose from most
+            base poses.
+        SceneError: The robot collides at its start pose.
+        UnknownNameError: A pose touches an object that does not exist.
+        OutOfTimeError: The time was over.
+    """
+    robot = query.robot
+    if robot.chain.size < FULL_DOF:
+        raise RobotError(
+            f"{robot.title}: its arm has {robot.chain.size} joints; to reach given tool poses needs "
+            f"{FULL_DOF}"
+        )
+    if query.region.facing is not None:
+        raise InputError("facing is for one grasp, not for tool poses; leave it out")
+    began = query.watch.clock()
+    with query.in_time():
+        tour = _Search.of(query, in_order=in_order).answer()
+    return replace(tour, seconds=query.watch.clock() - began)
+
+
+@dataclass(eq=False)
+class _Rows:
+    """Base poses, and which tool poses each serves as far as is known."""
+
+    bases: Float[np.ndarray, "n 3"]
+    travel: Float[np.ndarray, " n"]
+    """Driving length from the start [m]."""
+    serves: Bool[np.ndarray, "n p"]
+    sure: Bool[np.ndarray, " n"]
+    """Whether inverse kinematics and collisions were checked."""
+
+    def joined(self, other: _Rows) -> _Rows:
+        """Return all base poses of both."""
+        return _Rows(
+            np.concatenate([self.bases, other.bases]), np.append(self.travel, other.travel),
+            np.concatenate([self.serves, other.serves]), np.append(self.sure, other.sure),
+        )  # fmt: skip
+
+
+@dataclass(eq=False)
+class _Search:
+    """The search of one answer."""
+
+    query: PlacementQuery
+    in_order: bool
+    tools: list[Float[np.ndarray, "v 4 4"]]
+    """Tool poses at which the hand is free, for each pose."""
+    reasons: dict[int, str]
+    """Why no base pose serves a pose, where that is known."""
+    arm: PoseArm | None
+    """None if the hand is free at no pose."""
+    start: Float[np.ndarray, "3"]
+    prepared: PreparedTask
+    """The scene and all poses, for driving lengths."""
+    counts: Counter[PoseOutcome] = field(default_factory=Counter)
+    """Outcomes of the sampled base poses."""
+    checked: int = 0
+    """Number of base poses whose arm was checked [-]."""
+    refused: dict[int, Counter[PoseOutcome]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, query: PlacementQuery, *, in_order: bool) -> _Search:
+        """Prepare the search."""
+        scene, robot, task, config, watch = (
+            query.scene, query.robot, query.task, query.config, query.watch,
+        )  # fmt: skip
+        with watch.stage("model"):
+            tools = [tool_poses_of(pose) for pose in task.poses]
+            reasons: dict[int, str] = {}
+            every = pose_targets(scene, task, tools)
+            for targets in every:
+                world = collision_world(robot, targets.motion, config)
+                codes = free_hands(robot, world, targets)
+                for k in targets.rows.tolist():
+                    own = codes[targets.pose == k]
+                    tools[k] = tools[k][own == FREE]
+                    if not len(tools[k]):
+                        reasons[k] = f"the hand hits {world.reason(int(own[0]))}"
+            usable = tuple(pose_targets(scene, task, tools))
+            worlds = tuple(collision_world(robot, one.motion, config) for one in usable)
+            arm = None
+            if usable:
+                pregrasp = config.motion.grasps.pregrasp
+                arm = PoseArm(robot, usable, worlds, config.arm_planner, pregrasp, query.seed)
+        motion = every[0].motion
+        geometry = PlacementGeometry(
+            robot, np.stack([pose.T_world_tool for pose in task.poses])[None],
+            Boxes.join([motion.static, motion.sweep()]), Boxes.join([]), scene.floor_polygon,
+            config.place.clearance,
+        )  # fmt: skip
+        with watch.stage("drive"):
+            start = start_pose(scene, robot, motion, query.start, query.nav_map)
+        world = collision_world(robot, motion, config)
+        prepared = PreparedTask(scene, robot, task, motion, world, geometry, "")
+        found = cls(query, in_order, tools, reasons, arm, start, prepared)
+        for k in np.flatnonzero(np.isnan(arm_radius(geometry))).tolist():
+            reasons.setdefault(k, str(PoseOutcome(PoseStatus.OUT_OF_REACH_ANYWHERE)))
+            tools[k] = tools[k][:0]
+        return found
+
+    def answer(self) -> Tour:
+        """Return the stops; tool poses that no base pose serves come last."""
+        steps: list[PlacementResult] = []
+        rows = self._sampled()
+        served = np.flatnonzero(rows.serves.any(0))
+        while len(served):
+            found = self._stops(rows, served)
+            if found is not None:
+                steps = found
+                break
+            served = np.flatnonzero(rows.serves.any(0))
+        stops = list(range(1, 1 + len(steps)))
+        lost = np.setdiff1d(np.arange(len(self.tools)), served)
+        if len(lost):
+            steps.append(self._refused(lost))
+            stops.append(len(steps))
+        return Tour(tuple(steps), tuple(stops), scenes=(self.query.scene,) * len(steps))
+
+    def _stops(self, rows: _Rows, served: Int[np.ndarray, " k"]) -> list[PlacementResult] | None:
+        """Return the stops that serve some poses; None if one of these has no base pose left."""
+        while rows.serves[:, served].any(0).all():
+            look()
+            with self.query.watch.stage("search"):
+                stops = self._choice(rows, served)
+                others = self._alternatives(rows, served, stops)
+                unsure = others[~rows.sure[others]]
+                if len(unsure):
+                    self._check(rows, unsure)
+                    continue
+            steps = self._steps(rows, stops)
+            if steps is not None:
+                return steps
+        return None
+
+    # The base poses.
+
+    def _sampled(self) -> _Rows:
+        """Return base poses that stand clear, and which poses they serve by the map."""
+        count = len(self.tools)
+        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
+        bases = self._samples(usable)
+        travel = self._travel(self.start)(bases)
+        self._drop_counts = len(bases)
+        query, geometry = self.query, self.prepared.geometry
+        with query.watch.stage("search"):
+            kept = standing_codes(geometry, bases)
+            off, blocked = kept == OFF_FLOOR, (kept != OFF_FLOOR) & (kept != FREE)
+            self.counts[PoseOutcome(PoseStatus.OFF_FLOOR)] += int(off.sum())
+            self.counts[PoseOutcome(PoseStatus.BASE_BLOCKED)] += int(blocked.sum())
+            left = np.flatnonzero(kept == FREE)
+            for rule in rules(query.region, geometry):
+                fits = rule.keeps(bases[left], travel[left])
+                self.counts[rule.otherwise] += int((~fits).sum())
+                left = left[fits]
+            drives = np.isfinite(travel[left])
+            self.counts[PoseOutcome(PoseStatus.NO_ROUTE)] += int((~drives).sum())
+            left = left[drives]
+            if query.keep_poses is not None and len(left):
+                keeps = query.kept(bases[left])
+                self.counts[PoseOutcome(PoseStatus.FILTERED)] += int((~keeps).sum())
+                left = left[keeps]
+            serves = np.zeros((len(left), count), bool)
+            if len(usable):
+                serves[:, usable] = self._reached(bases[left], usable)
+            none = ~serves.any(1)
+            self.counts[PoseOutcome(PoseStatus.OUT_OF_REACH)] += int(none.sum())
+            left, serves = left[~none], serves[~none]
+        return _Rows(bases[left], travel[left], serves, np.zeros(len(left), bool))
+
+    def _samples(self, poses: Int[np.ndarray, " k"]) -> Float[np.ndarray, "n 3"]:
+        """Return base poses spread evenly over the floor from which a pose may be within reach."""
+        if not len(poses):
+            return np.zeros((0, 3))
+        geometry = self.prepared.geometry
+        reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
+        points = geometry.Ts_world_tool[0, poses, :2, 3]
+        low, high = (points - reach[:, None]).min(0), (points + reach[:, None]).max(0)
+        if geometry.floor_polygon is not None:
+            low = np.maximum(low, geometry.floor_polygon.min(0))
+            high = np.minimum(high, geometry.floor_polygon.max(0))
+        if (low >= high).any():
+            return np.zeros((0, 3))
+        area = float(np.prod(high - low))
+        count = int(np.clip(SAMPLES_PER_AREA * area, MIN_SAMPLES, MAX_SAMPLES))
+        shift = np.random.default_rng(self.query.seed).uniform(size=3)
+        unit = (halton(count, 3) + shift) % 1.0
+        bases = np.column_stack([low + unit[:, :2] * (high - low), np.pi * (2 * unit[:, 2] - 1)])
+        near = np.zeros(count, bool)
+        for point, most in zip(points, reach.tolist(), strict=True):
+            near |= np.hypot(*(bases[:, :2] - point).T) <= most
+        return bases[near]
+
+    def _reached(
+        self, bases: Float[np.ndarray, "n 3"], poses: Int[np.ndarray, " k"]
+    ) -> Bool[np.ndarray, "n k"]:
+        """Return which poses the map says are within reach from which base poses."""
+        tools = [self.tools[k] for k in poses.tolist()]
+        Ts = np.ascontiguousarray(np.concatenate(tools)[:, None])
+        first = np.cumsum([0, *map(len, tools[:-1])])
+        out = np.zeros((len(bases), len(poses)), bool)
+        block = max(1, _LOOKUPS // len(Ts))
+        for k in range(0, len(bases), block):
+            look()
+            scores = self.query.reach.min_score(bases[k : k + block], Ts)
+            out[k : k + block] = np.logical_or.reduceat(scores > 0.0, first, axis=1)
+        return out
+
+    def _travel(self, start: Float[np.ndarray, "3"]) -> TravelLengths:
+        """Return the driving lengths from a base pose."""
+        costs = cost_map(self.prepared, start, self.query.region.keep_out)
+        return TravelLengths(costs, self.query.robot, start)
+
+    # The choice of the stops.
+
+    def _choice(
+        self, rows: _Rows, served: Int[np.ndarray, " k"]
+    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
+        """Return the base pose of each stop, and the poses it is there for."""
+        if self.in_order:
+            return self._runs(rows, served)
+        serves = rows.serves[:, served]
+        chosen = self._shorter(rows, serves, fewest_serving_all(serves, rows.travel))
+        stops, left = [], np.ones(len(served), bool)
+        for row in chosen.tolist():
+            own = left & serves[row]
+            if own.any():
+                stops.append((row, served[own]))
+            left &= ~own
+        return stops
+
+    def _runs(
+        self, rows: _Rows, served: Int[np.ndarray, " k"]
+    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
+        """Return the stops for poses in their order: each serves as many of the next as any."""
+        stops, first, travel = [], 0, rows.travel
+        while first < len(served):
+            run = np.logical_and.accumulate(rows.serves[:, served[first:]], axis=1).sum(1)
+            row = int(np.lexsort((travel, -run))[0])
+            stops.append((row, served[first : first + run[row]]))
+            first += int(run[row])
+            travel = self._travel(rows.bases[row])(rows.bases)
+        return stops
+
+    def _shorter(
+        self, rows: _Rows, serves: Bool[np.ndarray, "n p"], chosen: Int[np.ndarray, " k"]
+    ) -> Int[np.ndarray, " k"]:
+        """Exchange stops for others that shorten the drive, and order them by it."""
+        lengths: dict[int, np.ndarray] = {}
+
+        def from_row(row: int) -> Float[np.ndarray, " n"]:
+            if row not in lengths:
+                lengths[row] = self._travel(rows.bases[row])(rows.bases)
+            return lengths[row]
+
+        for _ in range(PASSES):
+            between = np.stack([from_row(int(row))[chosen] for row in chosen])
+            order = shortest_order(
+                rows.travel[chosen], (between + between.T) / 2, np.zeros(len(chosen))
+            )
+            chosen, changed = chosen[order], False
+            for k in range(len(chosen)):
+                need = ~serves[np.delete(chosen, k)].any(0)
+                able = np.flatnonzero(serves[:, need].all(1))
+                cost = rows.travel[able] if k == 0 else from_row(int(chosen[k - 1]))[able]
+                if k + 1 < len(chosen):
+                    cost = cost + from_row(int(chosen[k + 1]))[able]
+                best = able[int(cost.argmin())]
+                if cost.min() < cost[able == chosen[k]][0] - MIN_GAIN:
+                    chosen, changed = chosen.copy(), True
+                    chosen[k] = best
+            if not changed:
+                break
+        return chosen
+
+    def _alternatives(
+        self, rows: _Rows, served: Int[np.ndarray, " k"],
+        stops: Sequence[tuple[int, Int[np.ndarray, " p"]]],
+    ) -> Int[np.ndarray, " r"]:  # fmt: skip
+        """Return the chosen base poses, and with unchecked ones others that could replace them."""
+        chosen = [row for row, _ in stops]
+        if rows.sure[chosen].all():
+            return np.array(chosen)
+        found = [np.array(chosen)]
+        for row, poses in stops:
+            if not rows.sure[row]:
+                able = np.flatnonzero(rows.serves[:, poses].all(1) & ~rows.sure)
+                away = np.hypot(*(rows.bases[able, :2] - rows.bases[row, :2]).T)
+                found.append(able[np.argsort(away, kind="stable")[:ALTERNATIVES]])
+        return np.unique(np.concatenate(found))
+
+    # The checks.
+
+    def _check(self, rows: _Rows, which: Int[np.ndarray, " r"]) -> None:
+        """Check with inverse kinematics and for collisions what some base poses serve."""
+        assert self.arm is not None
+        robot, bases = self.query.robot, rows.bases[which]
+        home = check(
+            self.prepared.world, robot.chain, robot.spheres.by_hulls,
+            np.tile(robot.home, (len(which), 1)), bases, np.zeros(len(which), np.int64),
+            np.zeros(len(which), bool),
+        )  # fmt: skip
+        for code in home[home != FREE].tolist():
+            outcome = PoseOutcome(PoseStatus.HOME_COLLISION, self.prepared.world.reason(code))
+            self.counts[outcome] += 1
+        rows.serves[which[home != FREE]] = False
+        self.checked += len(which)
+        row, pose = np.nonzero(rows.serves[which])
+        reached = self.arm.reaches(np.ascontiguousarray(bases[row]), pose)
+        rows.serves[which[row[~reached]], pose[~reached]] = False
+        rows.sure[which] = True
+
+    def _steps(
+        self, rows: _Rows, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
+    ) -> list[PlacementResult] | None:
+        """Plan the motions at all stops; None if one fails, which then no longer serves poses."""
+        steps: list[PlacementResult] = []
+        at = self.start
+        for row, poses in stops:
+            step = self._step(rows, row, poses, at)
+            if step is None:
+                return None
+            steps.append(step)
+            at = rows.bases[row]
+        return steps
+
+    def _step(
+        self, rows: _Rows, row: int, poses: Int[np.ndarray, " p"], at: Float[np.ndarray, "3"]
+    ) -> PlacementResult | None:
+        """Plan the drive to a base pose and the motion there; None if one of them fails."""
+        assert self.arm is not None
+        query, base = self.query, rows.bases[row]
+        with query.watch.stage("search"):
+            found = self.arm.sequence(base, poses, in_order=self.in_order)
+        if isinstance(found, PosesRefused):
+            self.counts[PoseOutcome(PoseStatus.NO_APPROACH)] += 1
+            rows.serves[row, found.poses] = False
+            return None
+        with query.watch.stage("path"):
+            path = plan_path(query.nav_map, at, base)
+        if path is None:
+            self.counts[PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)] += 1
+            rows.serves[row] = False
+            return None
+        motion = self._motion(base, found)
+        prepared, task = self._prepared(found.poses, motion), query.task
+        own = replace(query, task=prepared.task, start=at)
+        with query.watch.stage("exact check"):
+            why = prepared.violation(base, motion)
+        if why is not None:
+            self.counts[PoseOutcome(PoseStatus.EXACT_CHECK, why)] += 1
+            rows.serves[row] = False
+            return None
+        search = Search(checked=self.checked, base=base, motion=motion, cost=path.length)
+        search.note(base[None], PoseOutcomes([PoseOutcome(PoseStatus.FEASIBLE)]))
+        plan = plan_of(own, prepared, search, at, path)
+        return PlacementResult(replace(plan, timing=query.watch.timing), prepared, search, at, own)
+
+    def _motion(self, base: Float[np.ndarray, "3"], found: PoseSequence) -> Motion:
+        """Return the motion of an arm through its poses, as a plan has it."""
+        chain, q = self.query.robot.chain, found.q
+        first, last = int(found.at[0]), int(found.at[-1])
+        names = [self.query.task.pose_names[k] for k in found.poses.tolist()]
+        at = (found.at - first).tolist()
+        holds = [Hold(k, k, words=one) for k, one in zip(at, names, strict=True)]
+        held = q[first : last + 1]
+        joints = chain.joint_values(held)
+        motion = Motion(
+            chain.joint_values(q[: first + 1]), joints, np.zeros(len(held)),
+            world_tools(chain, base, joints, None), holds=tuple(holds),
+            home=chain.joint_values(q[last + 1 :]),
+        )  # fmt: skip
+        return with_close_states(motion, partial(world_tools, chain, base))
+
+    def _prepared(self, poses: Int[np.ndarray, " p"], motion: Motion) -> PreparedTask:
+        """Return the task of one stop, whose only grasp is the path of the tool there."""
+        task = replace(self.query.task, poses=tuple(self.query.task.poses[k] for k in poses))
+        assert self.arm is not None
+        steps = len(motion.q)
+        one = self.arm.targets[0].motion.only(np.arange(len(self.arm.targets[0].pose)) == 0)
+        along = replace(
+            one, task=task, Ts_world_tool=np.ascontiguousarray(motion.Ts_world_tool[None]),
+            object_q=np.zeros(steps), value=np.zeros(steps, np.int64),
+            holding=np.zeros(steps, bool),
+            waypoint_steps=np.array([hold.first for hold in motion.holds]),
+        )  # fmt: skip
+        return replace(
+            self.prepared, task=task, motion=along,
+            geometry=replace(
+                self.prepared.geometry,
+                Ts_world_tool=np.ascontiguousarray(along.Ts_world_tool[:, along.waypoint_steps]),
+            ),
+        )  # fmt: skip
+
+    def _refused(self, lost: Int[np.ndarray, " k"]) -> PlacementResult:
+        """Return the answer for poses that no base pose serves, with the reasons."""
+        query = self.query
+        task = replace(query.task, poses=tuple(query.task.poses[k] for k in lost))
+        search = Search(checked=self.checked)
+        outcomes = [
+            PoseOutcome(PoseStatus.TASK_INFEASIBLE, f"{name}: {self.reasons[k]}")
+            for name, k in zip(task.pose_names, lost.tolist(), strict=True)
+            if k in self.reasons
+        ]
+        outcomes += [one for one, count in self.counts.items() for _ in range(count)]
+        search.note(np.zeros((len(outcomes), 3)), PoseOutcomes(outcomes))
+        own = replace(query, task=task)
+        prepared = replace(self.prepared, task=task)
+        plan = plan_of(own, prepared, search, self.start, None)
+        return PlacementResult(plan, prepared, search, self.start, own)
