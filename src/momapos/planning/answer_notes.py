@@ -19,7 +19,7 @@ from momapos.model.scene import (
     resistance_along,
     stays_in_place,
 )
-from momapos.planning.grasps import GraspConfig, own_poses, shifted_along
+from momapos.planning.grasps import GraspConfig, nearest_shifted, own_poses, shifted_along
 from momapos.verification import PlanVerifier, meets_floor_at
 
 from .task_setup import PreparedTask
@@ -49,7 +49,7 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
         return ()
     outside = prepared.verifier.outside_note(plan.base_pose, plan.motion)
     notes = (
-        _hand_note(prepared), _own_note(prepared), _contents_note(plan, prepared),
+        _hand_note(prepared), _own_note(prepared, plan.motion), _contents_note(plan, prepared),
         _floor_note(plan, prepared),
         _file_note(prepared), _latch_note(prepared), _loose_note(prepared),
         _spring_note(plan, prepared), outside,
@@ -69,8 +69,8 @@ def _hand_note(prepared: PreparedTask) -> str:
     )
 
 
-def _own_note(prepared: PreparedTask) -> str:
-    """Return how many of the user's own grasps can be used, unless all can."""
+def _own_note(prepared: PreparedTask, found: Motion) -> str:
+    """Return which of the user's own grasps is taken, and how many can be used, unless all can."""
     robot, task, motion = prepared.robot, prepared.task, prepared.motion
     own = own_poses(robot, task.object, task.joint)
     if not len(own):
@@ -80,11 +80,16 @@ def _own_note(prepared: PreparedTask) -> str:
     Ts, grasps = target.link_poses()[link] @ own, motion.Ts_world_tool[:, motion.grasp_step]
     # The fingers shift the hand along its closing axis.
     used = int(shifted_along(Ts, grasps, robot.closing_axis).sum())
+    away = np.abs(grasps - found.Ts_world_tool[0]).sum((1, 2))
+    taken = int(nearest_shifted(grasps[[away.argmin()]], Ts, robot.closing_axis)[0])
+    names = getattr(robot.own_grasps, "names", ())
+    words = f"grasp {taken + 1}" if taken >= len(names) else names[taken]
+    which = "none of your own grasps is taken" if taken < 0 else f"takes {words} of your own"
     if used == len(own):
-        return ""
+        return which
     return (
-        f"{used} of {len(own)} grasps of your own can be used; at the others the hand is not free, "
-        f"or does not hold {target.name}"
+        f"{which}; {used} of {len(own)} can be used, at the others the hand is not free, or does "
+        f"not hold {target.name}"
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core import InputError
-from momapos.planning.grasps import TaskMotion, hand_path, lift_of, task_motion
+from momapos.planning.grasps import TaskMotion, hand_path, lift_of, own_poses, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
@@ -45,7 +45,23 @@ def plan_placement(query: PlacementQuery) -> PlacementResult:
             f"plan_base_placement searches by {' or '.join(OURS)}, not by {method!r}; "
             "plan_by_method knows the others"
         )
+    if query.config.motion.grasps.own == "first":
+        return _with_own_first(query)
     return plan_max_opening(query, plan_to_value) if query.task.farthest else plan_to_value(query)
+
+
+def _with_own_first(query: PlacementQuery) -> PlacementResult:
+    """Answer the query with the user's own grasps alone or else, without an answer, with all."""
+    alone, both = (
+        replace(query, config=replace(query.config, motion=replace(
+            query.config.motion, grasps=replace(query.config.motion.grasps, own=own)
+        )))
+        for own in ("only", "too")
+    )  # fmt: skip
+    if not len(own_poses(query.robot, query.task.object, query.task.joint)):
+        return plan_placement(both)
+    answer = plan_placement(alone)
+    return answer if answer.plan.status != "infeasible" else plan_placement(both)
 
 
 def plan_to_value(query: PlacementQuery) -> PlacementResult:

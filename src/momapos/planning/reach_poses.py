@@ -10,30 +10,32 @@ few base poses are checked (lazy evaluation, as in LazySP: Dellin and Srinivasa 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError, OutOfTimeError, RobotError, look
+from momapos.core import InputError, RobotError, look
 from momapos.core.geometry import halton
 from momapos.core.shortest_order import shortest_order
 from momapos.model import with_close_states
 from momapos.model.collision import FREE, check
-from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus, Task
+from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus
 from momapos.model.urdf import Boxes
-from momapos.planning.arm_motion import PoseArm, PosesRefused, PoseSequence, free_hands, world_tools
-from momapos.planning.grasps import FULL_DOF, PoseTargets, pose_targets, tool_poses_of
+from momapos.planning.arm_motion import PoseArm, PoseSequence, free_hands, world_tools
+from momapos.planning.grasps import FULL_DOF, targets_of, tool_poses_of
 from momapos.planning.navigation import BasePath, TravelLengths, plan_path
 from momapos.planning.placement import (
+    OFF_FLOOR,
+    BasePoseRule,
     PlacementGeometry,
     PoseOutcomes,
     Search,
     arm_radius,
+    cover_choices,
     fewest_serving_all,
-    OFF_FLOOR,
     rules,
     standing_codes,
 )
@@ -49,6 +51,8 @@ if TYPE_CHECKING:
 SAMPLES_PER_AREA, MIN_SAMPLES, MAX_SAMPLES = 800.0, 4_096, 32_768
 """Base poses that are sampled: a number per area from which some tool pose may be within reach
 [1/m^2], and bounds [-]. With 800 they are 10 cm and 45 degrees apart."""
+CHECK_ROUNDS = 4
+"""How often base poses to choose among are checked, as others take the place of some [-]."""
 ALTERNATIVES = 12
 """Base poses that are checked along with each chosen one, those that could replace it [-]."""
 PASSES = 3
@@ -84,19 +88,19 @@ def plan_pose_stops(query: PlacementQuery, *, in_order: bool = False) -> Tour:
     robot = query.robot
     if robot.chain.size < FULL_DOF:
         raise RobotError(
-            f"{robot.title}: its arm has {robot.chain.size} joints; to reach given tool poses needs "
-            f"{FULL_DOF}"
+            f"{robot.title}: its arm has {robot.chain.size} joints; to reach given tool poses, it "
+            f"needs {FULL_DOF}"
         )
     if query.region.facing is not None:
         raise InputError("facing is for one grasp, not for tool poses; leave it out")
     began = query.watch.clock()
     with query.in_time():
-        tour = _Search.of(query, in_order=in_order).answer()
+        tour = PoseSearch.of(query, in_order=in_order).answer()
     return replace(tour, seconds=query.watch.clock() - began)
 
 
 @dataclass(eq=False)
-class _Rows:
+class ServingBases:
     """Base poses, and which tool poses each serves as far as is known."""
 
     bases: Float[np.ndarray, "n 3"]
@@ -106,16 +110,16 @@ class _Rows:
     sure: Bool[np.ndarray, " n"]
     """Whether inverse kinematics and collisions were checked."""
 
-    def joined(self, other: _Rows) -> _Rows:
+    def joined(self, other: ServingBases) -> ServingBases:
         """Return all base poses of both."""
-        return _Rows(
+        return ServingBases(
             np.concatenate([self.bases, other.bases]), np.append(self.travel, other.travel),
             np.concatenate([self.serves, other.serves]), np.append(self.sure, other.sure),
         )  # fmt: skip
 
 
 @dataclass(eq=False)
-class _Search:
+class PoseSearch:
     """The search of one answer."""
 
     query: PlacementQuery
@@ -133,10 +137,17 @@ class _Search:
     """Outcomes of the sampled base poses."""
     checked: int = 0
     """Number of base poses whose arm was checked [-]."""
-    refused: dict[int, Counter[PoseOutcome]] = field(default_factory=dict)
+    _motions: dict[tuple[int, bytes], tuple[PreparedTask, Motion]] = field(default_factory=dict)
+    """Checked motions, by base pose and poses."""
+    _planned: list[tuple[int, Int[np.ndarray, " p"]]] = field(default_factory=list)
+    """Base poses with a planned motion, and the poses that it reaches."""
+    _lengths: dict[int, Float[np.ndarray, " n"]] = field(default_factory=dict)
+    """Driving lengths from base poses to all others [m]."""
+    _paths: dict[tuple[int, bytes], BasePath | None] = field(default_factory=dict)
+    """Drives, by base pose and where they begin."""
 
     @classmethod
-    def of(cls, query: PlacementQuery, *, in_order: bool) -> _Search:
+    def of(cls, query: PlacementQuery, *, in_order: bool) -> PoseSearch:
         """Prepare the search."""
         scene, robot, task, config, watch = (
             query.scene, query.robot, query.task, query.config, query.watch,
@@ -144,7 +155,7 @@ class _Search:
         with watch.stage("model"):
             tools = [tool_poses_of(pose) for pose in task.poses]
             reasons: dict[int, str] = {}
-            every = pose_targets(scene, task, tools)
+            every = targets_of(scene, task, tools)
             for targets in every:
                 world = collision_world(robot, targets.motion, config)
                 codes = free_hands(robot, world, targets)
@@ -153,7 +164,7 @@ class _Search:
                     tools[k] = tools[k][own == FREE]
                     if not len(tools[k]):
                         reasons[k] = f"the hand hits {world.reason(int(own[0]))}"
-            usable = tuple(pose_targets(scene, task, tools))
+            usable = tuple(targets_of(scene, task, tools))
             worlds = tuple(collision_world(robot, one.motion, config) for one in usable)
             arm = None
             if usable:
@@ -178,7 +189,9 @@ class _Search:
     def answer(self) -> Tour:
         """Return the stops; tool poses that no base pose serves come last."""
         steps: list[PlacementResult] = []
-        rows = self._sampled()
+        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
+        with self.query.watch.stage("search"):
+            rows = self.rows_of(self._samples(usable))
         served = np.flatnonzero(rows.serves.any(0))
         while len(served):
             found = self._stops(rows, served)
@@ -193,16 +206,20 @@ class _Search:
             stops.append(len(steps))
         return Tour(tuple(steps), tuple(stops), scenes=(self.query.scene,) * len(steps))
 
-    def _stops(self, rows: _Rows, served: Int[np.ndarray, " k"]) -> list[PlacementResult] | None:
+    def _stops(
+        self, rows: ServingBases, served: Int[np.ndarray, " k"]
+    ) -> list[PlacementResult] | None:
         """Return the stops that serve some poses; None if one of these has no base pose left."""
         while rows.serves[:, served].any(0).all():
             look()
             with self.query.watch.stage("search"):
                 stops = self._choice(rows, served)
-                others = self._alternatives(rows, served, stops)
+                if not stops:
+                    return None
+                others = self._alternatives(rows, stops)
                 unsure = others[~rows.sure[others]]
                 if len(unsure):
-                    self._check(rows, unsure)
+                    self.check(rows, unsure)
                     continue
             steps = self._steps(rows, stops)
             if steps is not None:
@@ -211,38 +228,40 @@ class _Search:
 
     # The base poses.
 
-    def _sampled(self) -> _Rows:
-        """Return base poses that stand clear, and which poses they serve by the map."""
-        count = len(self.tools)
-        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
-        bases = self._samples(usable)
-        travel = self._travel(self.start)(bases)
-        self._drop_counts = len(bases)
+    def rows_of(self, bases: Float[np.ndarray, "n 3"], *, by_map: bool = True) -> ServingBases:
+        """Return the base poses that stand clear and that the robot may drive to.
+
+        Args:
+            bases: Base poses x [m], y [m], yaw [rad].
+            by_map: Whether the reachability map says which poses each serves, and those that serve
+                none are left out; else all poses within the arm's length count.
+        """
         query, geometry = self.query, self.prepared.geometry
-        with query.watch.stage("search"):
-            kept = standing_codes(geometry, bases)
-            off, blocked = kept == OFF_FLOOR, (kept != OFF_FLOOR) & (kept != FREE)
-            self.counts[PoseOutcome(PoseStatus.OFF_FLOOR)] += int(off.sum())
-            self.counts[PoseOutcome(PoseStatus.BASE_BLOCKED)] += int(blocked.sum())
-            left = np.flatnonzero(kept == FREE)
-            for rule in rules(query.region, geometry):
-                fits = rule.keeps(bases[left], travel[left])
-                self.counts[rule.otherwise] += int((~fits).sum())
-                left = left[fits]
-            drives = np.isfinite(travel[left])
-            self.counts[PoseOutcome(PoseStatus.NO_ROUTE)] += int((~drives).sum())
-            left = left[drives]
-            if query.keep_poses is not None and len(left):
-                keeps = query.kept(bases[left])
-                self.counts[PoseOutcome(PoseStatus.FILTERED)] += int((~keeps).sum())
-                left = left[keeps]
-            serves = np.zeros((len(left), count), bool)
-            if len(usable):
-                serves[:, usable] = self._reached(bases[left], usable)
-            none = ~serves.any(1)
-            self.counts[PoseOutcome(PoseStatus.OUT_OF_REACH)] += int(none.sum())
-            left, serves = left[~none], serves[~none]
-        return _Rows(bases[left], travel[left], serves, np.zeros(len(left), bool))
+        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
+        kept = standing_codes(geometry, bases)
+        off, blocked = kept == OFF_FLOOR, (kept != OFF_FLOOR) & (kept != FREE)
+        self.counts[PoseOutcome(PoseStatus.OFF_FLOOR)] += int(off.sum())
+        self.counts[PoseOutcome(PoseStatus.BASE_BLOCKED)] += int(blocked.sum())
+        bases = bases[kept == FREE]
+        travel = self.travel(self.start)(bases)
+        no_route = PoseOutcome(PoseStatus.NO_ROUTE)
+        drives = BasePoseRule(lambda _, lengths: np.isfinite(lengths), no_route)
+        for rule in (*rules(query.region, geometry), drives):
+            fits = rule.keeps(bases, travel)
+            self.counts[rule.otherwise] += int((~fits).sum())
+            bases, travel = bases[fits], travel[fits]
+        if query.keep_poses is not None and len(bases):
+            fits = query.kept(bases)
+            self.counts[PoseOutcome(PoseStatus.FILTERED)] += int((~fits).sum())
+            bases, travel = bases[fits], travel[fits]
+        serves = np.zeros((len(bases), len(self.tools)), bool)
+        if len(usable):
+            serves[:, usable] = self._reached(bases, usable, by_map=by_map)
+        some = serves.any(1) | (not by_map)
+        self.counts[PoseOutcome(PoseStatus.OUT_OF_REACH)] += int((~some).sum())
+        return ServingBases(
+            bases[some], travel[some], serves[some], np.zeros(int(some.sum()), bool)
+        )
 
     def _samples(self, poses: Int[np.ndarray, " k"]) -> Float[np.ndarray, "n 3"]:
         """Return base poses spread evenly over the floor from which a pose may be within reach."""
@@ -268,9 +287,14 @@ class _Search:
         return bases[near]
 
     def _reached(
-        self, bases: Float[np.ndarray, "n 3"], poses: Int[np.ndarray, " k"]
+        self, bases: Float[np.ndarray, "n 3"], poses: Int[np.ndarray, " k"], *, by_map: bool
     ) -> Bool[np.ndarray, "n k"]:
-        """Return which poses the map says are within reach from which base poses."""
+        """Return which poses may be within reach from which base poses."""
+        if not by_map:
+            geometry = self.prepared.geometry
+            reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
+            points = geometry.Ts_world_tool[0, poses, :2, 3]
+            return np.hypot(*(bases[:, None, :2] - points).transpose(2, 0, 1)) <= reach
         tools = [self.tools[k] for k in poses.tolist()]
         Ts = np.ascontiguousarray(np.concatenate(tools)[:, None])
         first = np.cumsum([0, *map(len, tools[:-1])])
@@ -282,7 +306,7 @@ class _Search:
             out[k : k + block] = np.logical_or.reduceat(scores > 0.0, first, axis=1)
         return out
 
-    def _travel(self, start: Float[np.ndarray, "3"]) -> TravelLengths:
+    def travel(self, start: Float[np.ndarray, "3"]) -> TravelLengths:
         """Return the driving lengths from a base pose."""
         costs = cost_map(self.prepared, start, self.query.region.keep_out)
         return TravelLengths(costs, self.query.robot, start)
@@ -290,23 +314,50 @@ class _Search:
     # The choice of the stops.
 
     def _choice(
-        self, rows: _Rows, served: Int[np.ndarray, " k"]
+        self, rows: ServingBases, served: Int[np.ndarray, " k"]
     ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
         """Return the base pose of each stop, and the poses it is there for."""
         if self.in_order:
             return self._runs(rows, served)
         serves = rows.serves[:, served]
-        chosen = self._shorter(rows, serves, fewest_serving_all(serves, rows.travel))
-        stops, left = [], np.ones(len(served), bool)
+        cost = rows.travel.copy()
+        cost[list({row for row, _ in self._planned})] = 0.0
+        some = np.flatnonzero(serves.all(1))
+        if not len(some):
+            some = self._checked_choices(rows, served, cost)
+            serves = rows.serves[:, served]
+            if not serves.any(0).all():
+                return []
+        chosen = self._shorter(rows, serves, some[fewest_serving_all(serves[some], cost[some])])
+        return self._assigned(chosen, serves, served)
+
+    def _checked_choices(
+        self, rows: ServingBases, served: Int[np.ndarray, " k"], cost: Float[np.ndarray, " n"]
+    ) -> Int[np.ndarray, " r"]:
+        """Return base poses to choose among, most of them checked."""
+        for _ in range(CHECK_ROUNDS):
+            some = cover_choices(rows.serves[:, served], cost)
+            unsure = some[~rows.sure[some]]
+            if not len(unsure):
+                break
+            self.check(rows, unsure)
+        return cover_choices(rows.serves[:, served], cost)
+
+    def _assigned(
+        self, chosen: Int[np.ndarray, " k"], serves: Bool[np.ndarray, "n p"],
+        served: Int[np.ndarray, " p"],
+    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:  # fmt: skip
+        """Assign each pose to a stop: to one with a planned motion, else to the first."""
+        owner = np.full(len(served), -1)
+        for row, poses in self._planned:
+            if row in chosen:
+                owner[(owner < 0) & np.isin(served, poses) & serves[row]] = row
         for row in chosen.tolist():
-            own = left & serves[row]
-            if own.any():
-                stops.append((row, served[own]))
-            left &= ~own
-        return stops
+            owner[(owner < 0) & serves[row]] = row
+        return [(row, served[owner == row]) for row in chosen.tolist() if (owner == row).any()]
 
     def _runs(
-        self, rows: _Rows, served: Int[np.ndarray, " k"]
+        self, rows: ServingBases, served: Int[np.ndarray, " k"]
     ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
         """Return the stops for poses in their order: each serves as many of the next as any."""
         stops, first, travel = [], 0, rows.travel
@@ -315,22 +366,15 @@ class _Search:
             row = int(np.lexsort((travel, -run))[0])
             stops.append((row, served[first : first + run[row]]))
             first += int(run[row])
-            travel = self._travel(rows.bases[row])(rows.bases)
+            travel = self._lengths_from(rows, row)
         return stops
 
     def _shorter(
-        self, rows: _Rows, serves: Bool[np.ndarray, "n p"], chosen: Int[np.ndarray, " k"]
+        self, rows: ServingBases, serves: Bool[np.ndarray, "n p"], chosen: Int[np.ndarray, " k"]
     ) -> Int[np.ndarray, " k"]:
         """Exchange stops for others that shorten the drive, and order them by it."""
-        lengths: dict[int, np.ndarray] = {}
-
-        def from_row(row: int) -> Float[np.ndarray, " n"]:
-            if row not in lengths:
-                lengths[row] = self._travel(rows.bases[row])(rows.bases)
-            return lengths[row]
-
         for _ in range(PASSES):
-            between = np.stack([from_row(int(row))[chosen] for row in chosen])
+            between = np.stack([self._lengths_from(rows, int(row))[chosen] for row in chosen])
             order = shortest_order(
                 rows.travel[chosen], (between + between.T) / 2, np.zeros(len(chosen))
             )
@@ -338,9 +382,11 @@ class _Search:
             for k in range(len(chosen)):
                 need = ~serves[np.delete(chosen, k)].any(0)
                 able = np.flatnonzero(serves[:, need].all(1))
-                cost = rows.travel[able] if k == 0 else from_row(int(chosen[k - 1]))[able]
+                cost = rows.travel[able]
+                if k > 0:
+                    cost = self._lengths_from(rows, int(chosen[k - 1]))[able]
                 if k + 1 < len(chosen):
-                    cost = cost + from_row(int(chosen[k + 1]))[able]
+                    cost = cost + self._lengths_from(rows, int(chosen[k + 1]))[able]
                 best = able[int(cost.argmin())]
                 if cost.min() < cost[able == chosen[k]][0] - MIN_GAIN:
                     chosen, changed = chosen.copy(), True
@@ -349,10 +395,15 @@ class _Search:
                 break
         return chosen
 
+    def _lengths_from(self, rows: ServingBases, row: int) -> Float[np.ndarray, " n"]:
+        """Return the driving lengths from one base pose to all, computed once."""
+        if row not in self._lengths:
+            self._lengths[row] = self.travel(rows.bases[row])(rows.bases)
+        return self._lengths[row]
+
     def _alternatives(
-        self, rows: _Rows, served: Int[np.ndarray, " k"],
-        stops: Sequence[tuple[int, Int[np.ndarray, " p"]]],
-    ) -> Int[np.ndarray, " r"]:  # fmt: skip
+        self, rows: ServingBases, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
+    ) -> Int[np.ndarray, " r"]:
         """Return the chosen base poses, and with unchecked ones others that could replace them."""
         chosen = [row for row, _ in stops]
         if rows.sure[chosen].all():
@@ -367,7 +418,7 @@ class _Search:
 
     # The checks.
 
-    def _check(self, rows: _Rows, which: Int[np.ndarray, " r"]) -> None:
+    def check(self, rows: ServingBases, which: Int[np.ndarray, " r"]) -> None:
         """Check with inverse kinematics and for collisions what some base poses serve."""
         assert self.arm is not None
         robot, bases = self.query.robot, rows.bases[which]
@@ -387,50 +438,73 @@ class _Search:
         rows.sure[which] = True
 
     def _steps(
-        self, rows: _Rows, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
+        self, rows: ServingBases, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
     ) -> list[PlacementResult] | None:
         """Plan the motions at all stops; None if one fails, which then no longer serves poses."""
-        steps: list[PlacementResult] = []
-        at = self.start
-        for row, poses in stops:
-            step = self._step(rows, row, poses, at)
-            if step is None:
-                return None
-            steps.append(step)
-            at = rows.bases[row]
-        return steps
-
-    def _step(
-        self, rows: _Rows, row: int, poses: Int[np.ndarray, " p"], at: Float[np.ndarray, "3"]
-    ) -> PlacementResult | None:
-        """Plan the drive to a base pose and the motion there; None if one of them fails."""
-        assert self.arm is not None
-        query, base = self.query, rows.bases[row]
-        with query.watch.stage("search"):
-            found = self.arm.sequence(base, poses, in_order=self.in_order)
-        if isinstance(found, PosesRefused):
-            self.counts[PoseOutcome(PoseStatus.NO_APPROACH)] += 1
-            rows.serves[row, found.poses] = False
+        arms = [self._arm_motion(rows, row, poses) for row, poses in stops]
+        if any(arm is None for arm in arms):
             return None
-        with query.watch.stage("path"):
-            path = plan_path(query.nav_map, at, base)
-        if path is None:
+        at, paths = self.start, []
+        for row, _ in stops:
+            paths.append(self._path(rows, row, at))
+            at = rows.bases[row]
+        if any(path is None for path in paths):
+            return None
+        return [
+            self._step(rows.bases[row], *arm, path)
+            for (row, _), arm, path in zip(stops, arms, paths, strict=True)
+            if arm is not None and path is not None
+        ]
+
+    def _arm_motion(
+        self, rows: ServingBases, row: int, poses: Int[np.ndarray, " p"]
+    ) -> tuple[PreparedTask, Motion] | None:
+        """Plan the motion of the arm at a base pose, once; None if it fails there."""
+        key = row, poses.tobytes()
+        if key not in self._motions:
+            assert self.arm is not None
+            query, base = self.query, rows.bases[row]
+            with query.watch.stage("search"):
+                found = self.arm.sequence(base, poses, in_order=self.in_order)
+            refused = np.setdiff1d(poses, found.poses)
+            self.counts[PoseOutcome(PoseStatus.NO_APPROACH)] += len(refused)
+            rows.serves[row, refused] = False
+            if not len(found.poses):
+                return None
+            motion = self._motion(base, found)
+            prepared = self._prepared(found.poses, motion)
+            with query.watch.stage("exact check"):
+                why = prepared.violation(base, motion)
+            if why is not None:
+                self.counts[PoseOutcome(PoseStatus.EXACT_CHECK, why)] += 1
+                rows.serves[row] = False
+                return None
+            self._motions[row, np.sort(found.poses).tobytes()] = prepared, motion
+            self._planned.append((row, found.poses))
+        return self._motions.get(key)
+
+    def _path(self, rows: ServingBases, row: int, at: Float[np.ndarray, "3"]) -> BasePath | None:
+        """Plan the drive to a base pose, once; None if there is none."""
+        key = row, at.tobytes()
+        if key not in self._paths:
+            with self.query.watch.stage("path"):
+                self._paths[key] = plan_path(self.query.nav_map, at, rows.bases[row])
+        if self._paths[key] is None:
             self.counts[PoseOutcome(PoseStatus.NO_ROUTE_AT_HOME)] += 1
             rows.serves[row] = False
-            return None
-        motion = self._motion(base, found)
-        prepared, task = self._prepared(found.poses, motion), query.task
-        own = replace(query, task=prepared.task, start=at)
-        with query.watch.stage("exact check"):
-            why = prepared.violation(base, motion)
-        if why is not None:
-            self.counts[PoseOutcome(PoseStatus.EXACT_CHECK, why)] += 1
-            rows.serves[row] = False
-            return None
+        return self._paths[key]
+
+    def _step(
+        self, base: Float[np.ndarray, "3"], prepared: PreparedTask, motion: Motion, path: BasePath
+    ) -> PlacementResult:
+        """Return the answer of one stop."""
+        start = path.poses[0]
+        query = replace(self.query, task=prepared.task, start=start)
         search = Search(checked=self.checked, base=base, motion=motion, cost=path.length)
         search.note(base[None], PoseOutcomes([PoseOutcome(PoseStatus.FEASIBLE)]))
-        plan = plan_of(own, prepared, search, at, path)
-        return PlacementResult(replace(plan, timing=query.watch.timing), prepared, search, at, own)
+        plan = plan_of(query, prepared, search, start, path)
+        plan = replace(plan, timing=query.watch.timing)
+        return PlacementResult(plan, prepared, search, start, query)
 
     def _motion(self, base: Float[np.ndarray, "3"], found: PoseSequence) -> Motion:
         """Return the motion of an arm through its poses, as a plan has it."""

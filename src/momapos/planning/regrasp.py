@@ -343,6 +343,7 @@ def ajar_doors(whole: PreparedTask, config: PipelineConfig, watch: Stopwatch) ->
         watch: Counts the stages.
     """
     pushes = Family.PUSH in config.motion.grasps.families and whole.robot.chain.size >= FULL_DOF
+    pushes &= config.motion.grasps.own != "only"
     pushes &= whole.motion.latch_q is None  # the hand that turned the latch keeps it turned
     for ajar in AJAR_ANGLES if pushes and not whole.blocked else ():
         door = _ajar_door(whole, config, ajar, watch)

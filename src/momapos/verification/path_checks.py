@@ -377,7 +377,10 @@ def pose_checks(
         return
     rows = zip(poses, Ts_world_tool[at], strict=True)
     excess = np.array([one.excess(T[None])[0] for one, T in rows])
-    for name, column, scale, unit in (("position", 0, 1e3, "mm"), ("rotation", 1, 180 / np.pi, "deg")):
+    for name, column, scale, unit in (
+        ("position", 0, 1e3, "mm"),
+        ("rotation", 1, 180 / np.pi, "deg"),
+    ):
         worst = int(excess[:, column].argmax())
         most = scale * max(float(excess[worst, column]), 0.0)
         where = (poses[worst].name or f"pose {worst + 1}") if most > 0.0 else ""

@@ -101,17 +101,19 @@ def summary(
     lines = [_question(answer, most), *_follower(plan.task), ""]
     if plan.base_pose is not None and plan.motion is not None:
         span = "" if plan.task.joint is None else f", from {_span(answer)}"
+        goal = "the first pose" if plan.task.poses else "the grasp"
+        parts = "base and arm" if plan.task.poses else "base, arm and moving part"
         lines += [
             f"  base pose   {pose_text(plan.base_pose)}",
             f"  drive       {plan.navigation_cost:.2f} m from "
             f"({answer.start[0]:.2f}, {answer.start[1]:.2f})",
             *([f"  base        {plan.base_motion}"] if plan.moves_base else []),
-            f"  arm motion  {len(plan.motion.approach)} states to the grasp, then "
+            f"  arm motion  {len(plan.motion.approach)} states to {goal}, then "
             f"{len(plan.motion.q)}{span}",
             *([] if plan.task.poses else _grasps(answer)),
             *_poses(answer),
             *_joint_type(answer),
-            "  checked     base, arm and moving part along the whole motion, with exact geometry",
+            f"  checked     {parts} along the whole motion, with exact geometry",
             *([f"  loads       {plan.loads}"] if plan.loads is not None else []),
             *_tolerance(plan),
             *_cost(plan.cost),

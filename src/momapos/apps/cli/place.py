@@ -34,6 +34,7 @@ from .options import (
     AreasArg,
     BaseArg,
     Flag,
+    FrameArg,
     JointsArg,
     MassArg,
     ObjectArg,
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.planning import PipelineConfig, PlacementResult
+    from momapos.planning.grasps.config import OwnUse
     from momapos.planning.reachability import ArmLength, ReachMap
 
 
@@ -197,6 +199,15 @@ class Options(SearchOptions):
     lift: ValueArg = None
     """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
     it would hit something)."""
+    grasps: OptionalFile = None
+    """Grasps of your own: poses of the tool, or a file of GraspGen, GraspNet, GPD or Isaac Sim."""
+    grasps_frame: FrameArg = None
+    """Frame of these grasps: world, an object, or a part (default: what the task moves)."""
+    grasps_depth: ValueArg = None
+    """Distance of the fingertips from the origin of the file's hand (default: 10.34 cm, 6 cm for
+    GPD)."""
+    ours_too: Flag = False
+    """Where none of your own grasps works, try ours."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = DEFAULT_SAMPLES
@@ -214,6 +225,9 @@ class Options(SearchOptions):
         check_samples(self.tolerance_samples)
         if self.tolerance_samples != DEFAULT_SAMPLES and not self.tolerance:
             raise InputError("--tolerance-samples needs --tolerance")
+        for name in ("grasps_frame", "grasps_depth", "ours_too"):
+            if getattr(self, name) and self.grasps is None:
+                raise InputError(f"--{name.replace('_', '-')} needs --grasps")
 
     def read_config(self) -> PipelineConfig:
         """Read the configuration, with what other options set.
@@ -229,11 +243,30 @@ class Options(SearchOptions):
         if self.lift is not None:
             lift = parse_quantity(self.lift).length("--lift:")
             config = replace(config, motion=replace(config.motion, lift=lift))
+        if self.grasps is not None:
+            use: OwnUse = "first" if self.ours_too else "only"
+            grasps = replace(config.motion.grasps, own=use)
+            config = replace(config, motion=replace(config.motion, grasps=grasps))
         if self.robust is None:
             return config
         radius, turn = parse_robust(self.robust)
         place = replace(config.place, robust_radius=radius, robust_turn=math.degrees(turn))
         return replace(config, place=place)
+
+    def with_grasps(self, robot: Robot, scene: Scene, task: Task) -> Robot:
+        """Return a robot with the grasps of --grasps, if they are given.
+
+        Raises:
+            InputError: The file is unusable.
+        """
+        if self.grasps is None:
+            return robot
+        from momapos.planning.grasps import load_grasps
+
+        depth = self.grasps_depth
+        length = None if depth is None else parse_quantity(depth).length("--grasps-depth:")
+        found = load_grasps(self.grasps, scene, robot, task, frame=self.grasps_frame, depth=length)
+        return robot.with_grasps(found)
 
 
 Shared = Annotated[Options, arg(name="")]
@@ -497,6 +530,7 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
     watch, spent = Stopwatch(processor_time), list[float]()
 
     def plan_all(arms: Sequence[tuple[Robot, ReachMap | ArmLength]], limit: float) -> _Answers:
+        arms = tuple((options.with_grasps(robot, scene, task), reach) for robot, reach in arms)
         within = min(config.timeout, limit)
         query = _read_query(options, scene, (
             replace(config, timeout=within) if limit < math.inf else with_time_left(config)
@@ -529,7 +563,9 @@ def _plan(scene: Scene, task: Task, options: Options, config: PipelineConfig) ->
     chosen = next(arm for arm, one in zip(arms, answers, strict=False) if one is answer)
     if options.advice and query.at is None and config.place.method in OURS:
         with busy(f"{chosen[0].name}: advice"), watch.stage("advice"):
-            answer = with_advice(answer, other_robots(options.robot))
+            # The user's own grasps are those of one hand.
+            others = other_robots(options.robot) if options.grasps is None else iter(())
+            answer = with_advice(answer, others)
     answer = with_all_time(answer, sum(spent), watch.seconds)
     if options.tolerance:
         with busy(f"{chosen[0].name}: tolerance"):

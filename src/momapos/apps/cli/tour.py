@@ -192,7 +192,10 @@ def _check(options: Options, config: PipelineConfig) -> None:
     Raises:
         TaskError: One is given.
     """
-    one = {"--at": options.at, "--plot": options.plot, "--robust": options.robust}
+    one = {
+        "--at": options.at, "--plot": options.plot, "--robust": options.robust,
+        "--grasps": options.grasps,
+    }  # fmt: skip
     for name, value in one.items():
         if value is not None:
             raise TaskError(f"{name} applies to one task; plan each task alone, or leave it out")

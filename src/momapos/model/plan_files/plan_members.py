@@ -59,7 +59,7 @@ class PlanTask(msgspec.Struct):
     follower: str = ""
     """Joint that the user named, which follows `joint`; empty if none."""
     poses: tuple[ToolPose, ...] = ()
-    """Tool poses to reach, in the order of `manipulation.holds`, at whose states the tool is there."""
+    """Tool poses to reach; each of `manipulation.holds` is the state at one of them."""
 
 
 class PlanPose(msgspec.Struct):

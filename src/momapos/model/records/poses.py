@@ -65,8 +65,8 @@ class ToolPose:
             raise InputError(f"{where}position must be at least 0 [m], not {self.position}")
         object.__setattr__(self, "wxyz", _unit(f"{where}quaternion", self.wxyz, 4))
         for name in ("rotation", "spin", "cone"):
-            value = finite_number(f"{where}{name}", getattr(self, name), 0.0, 2 * math.pi)
-            object.__setattr__(self, name, min(value, math.pi))
+            angle = finite_number(f"{where}{name}", getattr(self, name), 0.0, 2 * math.pi)
+            object.__setattr__(self, name, min(angle, math.pi))
         if self.axis is not None:
             object.__setattr__(self, "axis", _unit(f"{where}axis", self.axis, 3))
         elif self.spin or self.cone:

@@ -67,7 +67,7 @@ def load_poses(path: str | Path, scene: Scene) -> tuple[ToolPose, ...]:
     """
     path = as_path("path", path)
     expect("scene", scene, Scene)
-    rows, common = _rows(path)
+    rows, common = _listed(path, read_poses(path))
     if not rows:
         raise InputError(f"{path}: has no poses")
     if len(rows) > MAX_POSES:
@@ -75,41 +75,55 @@ def load_poses(path: str | Path, scene: Scene) -> tuple[ToolPose, ...]:
     return tuple(_pose(row, common, k, path, scene) for k, row in enumerate(rows, 1))
 
 
-def _rows(path: Path) -> tuple[Sequence[Any], Mapping[str, Any]]:
+def _listed(path: Path, value: Any) -> tuple[Sequence[Any], Mapping[str, Any]]:
     """Return the poses of a file as they are, and what it states for all."""
-    kind = path.suffix.lower()
-    if kind in (".npy", ".npz"):
-        return _array(path), {}
-    if kind == ".csv":
-        return _table(path), {}
-    if kind == ".json":
-        text = read_text_bounded(path, MAX_BYTES)
-        try:
-            value = parse_json(text)
-        except (ValueError, RecursionError) as error:
-            raise FileFormatError(f"{path}: damaged JSON ({error})") from error
-    elif kind in (".yaml", ".yml"):
-        value = parse_yaml(read_text_bounded(path, MAX_BYTES), path)
-    else:
-        raise FileFormatError(f"{path}: poses are .json, .yaml, .csv, .npy or .npz files")
-    if isinstance(value, dict) and "poses" not in value:
-        return [value], {}
+    if isinstance(value, np.ndarray):
+        if value.shape[1:] not in ((4, 4), (7,)):
+            raise FileFormatError(
+                f"{path}: must have the shape (n, 4, 4) or (n, 7), not {value.shape}"
+            )
+        return value.tolist(), {}
+    common: Mapping[str, Any] = {}
     if isinstance(value, dict):
+        if "poses" not in value:
+            return [value], {}
         _refuse_unknown(value, ("poses", "header", *_COMMON), str(path))
         value, common = value["poses"], value
-    else:
-        common = {}
     if not isinstance(value, list):
         raise FileFormatError(f"{path}: must hold a list of poses, not {shown(value)}")
     return value, common
 
 
-def _array(path: Path) -> Sequence[Any]:
+def read_poses(path: Path) -> Any:
+    """Read the content of a file of poses: an array of numpy, or lists, objects and numbers.
+
+    Raises:
+        FileFormatError: The file is missing, damaged, or of another kind.
+    """
+    kind = path.suffix.lower()
+    if kind in (".npy", ".npz"):
+        return _array(path)
+    if kind == ".csv":
+        return _table(path)
+    text = read_text_bounded(path, MAX_BYTES) if kind in (".json", ".yaml", ".yml") else ""
+    if kind == ".json":
+        try:
+            return parse_json(text)
+        except (ValueError, RecursionError) as error:
+            raise FileFormatError(f"{path}: damaged JSON ({error})") from error
+    if kind in (".yaml", ".yml"):
+        return parse_yaml(text, path)
+    raise FileFormatError(f"{path}: poses are .json, .yaml, .csv, .npy or .npz files")
+
+
+def _array(path: Path) -> np.ndarray:
     with open_regular(path, MAX_BYTES) as file:
         try:
             found = np.load(file, allow_pickle=False)
             if not isinstance(found, np.ndarray):
                 names = found.files
+                if sum(member.file_size for member in found.zip.infolist()) > MAX_BYTES:
+                    raise FileFormatError(f"{path}: is larger than {MAX_BYTES:,} bytes unpacked")
                 if len(names) != 1:
                     raise FileFormatError(f"{path}: must hold one array, not {', '.join(names)}")
                 found = found[names[0]]
@@ -117,12 +131,9 @@ def _array(path: Path) -> Sequence[Any]:
             raise
         except Exception as error:  # numpy raises many kinds for damaged files
             raise FileFormatError(f"{path}: not an array of numpy ({error})") from error
-    if found.dtype.kind not in "fiu" or found.shape[1:] not in ((4, 4), (7,)):
-        raise FileFormatError(
-            f"{path}: must be numbers of shape (n, 4, 4) or (n, 7), not {found.dtype} of shape "
-            f"{found.shape}"
-        )
-    return found.tolist()
+    if found.dtype.kind not in "fiu" or not found.ndim:
+        raise FileFormatError(f"{path}: must hold numbers, not an array of {found.dtype}")
+    return found
 
 
 def _table(path: Path) -> Sequence[Any]:
@@ -161,11 +172,11 @@ def _pose(row: Any, common: Mapping[str, Any], number: int, path: Path, scene: S
     tolerance = {**_tolerance(common, str(path)), **_tolerance(own, where)}
     name = str(own.get("name", "")) or f"pose {number}"
     try:
-        T = _frame(frame, scene) @ _transform(own, where)
+        T = frame_named(frame, scene) @ transform_of(own, where)
         if contact:
             scene.object(contact)
-        xyz, wxyz = tuple(T[:3, 3].tolist()), _wxyz(T)
-        return ToolPose(xyz, wxyz, name, contact=contact, **tolerance)
+        (x, y, z), wxyz = T[:3, 3].tolist(), _wxyz(T)
+        return ToolPose((x, y, z), wxyz, name, contact=contact, **tolerance)
     except InputError as error:
         words = str(error)
         given = words if words.startswith(where) else f"{where}: {words.removeprefix(f'{name}: ')}"
@@ -196,8 +207,12 @@ def _name_of(key: str, own: Mapping[str, Any], common: Mapping[str, Any], where:
     return ""
 
 
-def _frame(name: str, scene: Scene) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a frame in the world: of an object, or of one of its parts."""
+def frame_named(name: str, scene: Scene) -> Float[np.ndarray, "4 4"]:
+    """Return the pose of a frame in the world: of the world, of an object, or of one of its parts.
+
+    Raises:
+        UnknownNameError: There is no such object or part.
+    """
     if name in WORLD and name not in {item.name for item in scene.objects}:
         return np.eye(4)
     whole = name in {item.name for item in scene.objects}
@@ -206,8 +221,17 @@ def _frame(name: str, scene: Scene) -> Float[np.ndarray, "4 4"]:
     return item.T_world_object if not part else item.link_poses()[link_named(item, part)]
 
 
-def _transform(own: Mapping[str, Any], where: str) -> Float[np.ndarray, "4 4"]:
-    """Return a pose in its frame."""
+def transform_of(row: Any, where: str) -> Float[np.ndarray, "4 4"]:
+    """Return a pose in its frame.
+
+    Args:
+        row: A pose as a file has it: an object, a matrix, or seven numbers.
+        where: The pose in words, for messages.
+
+    Raises:
+        InputError: It is no pose.
+    """
+    own = row if isinstance(row, dict) else _bare(row, where)
     nested = own.get("pose")
     if isinstance(nested, dict):
         _refuse_unknown(nested, _PLACE, f"{where}: pose")
@@ -231,6 +255,7 @@ def _transform(own: Mapping[str, Any], where: str) -> Float[np.ndarray, "4 4"]:
     at = ToolPose(
         tuple(finite_array(f"{where}: position", xyz, (3,)).tolist()),
         tuple(finite_array(f"{where}: quaternion", wxyz, (4,)).tolist()),
+        where,
     )
     return at.T_world_tool
 
@@ -280,10 +305,11 @@ def _number(what: str, value: Any) -> float:
     return float(value)
 
 
-def _wxyz(T: Float[np.ndarray, "4 4"]) -> tuple[float, ...]:
+def _wxyz(T: Float[np.ndarray, "4 4"]) -> tuple[float, float, float, float]:
     from scipy.spatial.transform import Rotation
 
-    return tuple(Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True).tolist())
+    w, x, y, z = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True).tolist()
+    return w, x, y, z
 
 
 def _refuse_unknown(given: Mapping[str, Any], known: Sequence[str], where: str) -> None:

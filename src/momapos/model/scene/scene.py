@@ -76,7 +76,7 @@ class Scene:
         return png
 
     def object(self, name: str) -> SceneObject:
-        """Return an object by name; for "" one without shapes, which no task of the robot alone moves.
+        """Return an object by name; for "", as in a task of the robot alone, one without shapes.
 
         Raises:
             UnknownNameError: The object does not exist; the message suggests similar names.

@@ -31,5 +31,4 @@ from .payload import payload_hits_at_home as payload_hits_at_home
 from .payload import with_payload as with_payload
 from .pose_sequence import PoseArm as PoseArm
 from .pose_sequence import PoseSequence as PoseSequence
-from .pose_sequence import PosesRefused as PosesRefused
 from .pose_sequence import free_hands as free_hands

@@ -580,6 +580,8 @@ QUICK_SHARE = 0.005
 """Share for a path that is searched again, with more checks, if nothing else is found [-]: of 75
 ways between two grasps at a door, the six that exist take less, and 69 have none even with 30 times
 as many as `BRIEF_SHARE`."""
+BETWEEN_SHARE = 0.05
+"""Share for a path between two poses of a set, which may also lead by home [-]."""
 _MIN_BEYOND = np.pi / 4
 """Least range beyond the ends in which a joint without limits is sampled, where a whole turn that
 contains both is no wider [rad]."""
@@ -588,6 +590,11 @@ contains both is no wider [rad]."""
 def brief_config(config: PlannerConfig) -> PlannerConfig:
     """Limit the planner for a path between two grasps or home, see `BRIEF_SHARE`."""
     return replace(config, checks=max(1, round(BRIEF_SHARE * config.budget)))
+
+
+def between_config(config: PlannerConfig) -> PlannerConfig:
+    """Limit the planner for a path between two poses, see `BETWEEN_SHARE`."""
+    return replace(config, checks=max(1, round(BETWEEN_SHARE * config.budget)))
 
 
 def quick_config(config: PlannerConfig) -> PlannerConfig:

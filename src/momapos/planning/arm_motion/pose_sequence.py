@@ -9,22 +9,22 @@ straight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.core import look
 from momapos.core.geometry import invert, pose_planar
-from momapos.core.shortest_order import improved_order, path_length, shortest_order
+from momapos.core.shortest_order import improved_order, path_length
 from momapos.model.collision import FREE, CollisionWorld, StraightMotions, build_motions, check
 from momapos.model.robots import Robot
 from momapos.planning.grasps import PoseTargets, TaskMotion
 
 from .arm_path import follow
-from .arm_planner import RESOLUTION, brief_config, interpolate, plan_with_clearance
+from .arm_planner import RESOLUTION, between_config, plan_with_clearance
 from .config import PlannerConfig
 from .hand_clearance import arm_spheres, hand_hits
 from .ik_layers import TaskLoads, full_turns, joint_scale, layer_jobs, solve_layers, task_arrays
@@ -38,7 +38,7 @@ MIN_STATES = 3
 """Number of arm states of a pose that are among them [-]."""
 ROUNDS = 3
 """How often order and arm states are improved in turn [-]; more rounds rarely change them."""
-RETRIES = 4
+RETRIES = 3
 """Number of other arm states of a pose that are tried if no motion leads to one [-]."""
 STRAIGHT_STEP = 0.01
 """Distance between tool poses of a straight motion [m]."""
@@ -95,9 +95,10 @@ class PoseArm:
             rows = np.flatnonzero(~free)
             q = np.ascontiguousarray(layers.q[rows])
             free[rows] = self._hits(q, base, motion, world) == FREE
-            for pose, first, count in zip(own, layers.first[:, 0], layers.counts[:, 0], strict=True):
+            ends = np.stack([layers.first[:, 0], layers.counts[:, 0]], 1)
+            for pose, (first, count) in zip(own.tolist(), ends.tolist(), strict=True):
                 part = slice(first, first + count)
-                found[int(pose)] = layers.q[part][free[part]]
+                found[pose] = layers.q[part][free[part]]
         return [found[pose] for pose in poses.tolist()]
 
     def _hits(
@@ -113,24 +114,18 @@ class PoseArm:
 
     def sequence(
         self, base: Float[np.ndarray, "3"], poses: Int[np.ndarray, " p"], *, in_order: bool
-    ) -> PoseSequence | PosesRefused:
-        """Plan the motion from home through all poses and back, or return which it fails at.
+    ) -> PoseSequence:
+        """Plan the motion from home through poses and back; those to which none leads are left out.
 
         Args:
             base: The base pose x [m], y [m], yaw [rad].
             poses: Indices of the poses.
             in_order: Whether their order is fixed.
         """
-        states = self.states(base, poses)
-        lost = [k for k, one in enumerate(states) if not len(one)]
-        if lost:
-            return PosesRefused(poses[lost])
-        return _Sequencer(self, base, poses, states, in_order).plan()
+        return _Sequencer(self, base, poses, self.states(base, poses), in_order).plan()
 
 
-def free_hands(
-    robot: Robot, world: CollisionWorld, targets: PoseTargets
-) -> Int[np.ndarray, " g"]:
+def free_hands(robot: Robot, world: CollisionWorld, targets: PoseTargets) -> Int[np.ndarray, " g"]:
     """Return what the hand hits at each tool pose, for any base pose; FREE for nothing."""
     motion = targets.motion
     count = len(targets.pose)
@@ -141,19 +136,11 @@ def free_hands(
 
 
 @dataclass(frozen=True, eq=False)
-class PosesRefused:
-    """Poses that have no motion at a base pose."""
-
-    poses: Int[np.ndarray, " k"]
-    """Indices; all that failed first."""
-
-
-@dataclass(frozen=True, eq=False)
 class PoseSequence:
     """The motion of an arm through poses, from home and back."""
 
     poses: Int[np.ndarray, " p"]
-    """Indices of the poses in their order."""
+    """Indices of the poses that are reached, in their order."""
     q: Float[np.ndarray, "s n"]
     """Close arm states from home to home."""
     at: Int[np.ndarray, " p"]
@@ -170,22 +157,40 @@ class _Sequencer:
     states: list[Float[np.ndarray, "s n"]]
     in_order: bool
     _visits: dict[tuple[int, int], _Visit | None] = field(default_factory=dict)
+    _legs: dict[tuple[bytes, bytes], Float[np.ndarray, "s n"] | None] = field(default_factory=dict)
     _free: dict[bool, StraightMotions] = field(default_factory=dict)
 
-    def plan(self) -> PoseSequence | PosesRefused:
-        """Plan the motion; arm states to which no motion leads are left out, and it is replanned."""
-        for _ in range(RETRIES * len(self.poses)):
-            order, chosen = self._ordered()
-            bad = next((k for k in order if self._visit(k, chosen[k]) is None), None)
-            found: PoseSequence | int = self._joined(order, chosen) if bad is None else int(bad)
-            if isinstance(found, PoseSequence):
-                return found
-            kept = np.arange(len(self.states[found])) != chosen[found]
-            if not kept.any():
-                return PosesRefused(self.poses[[found]])
-            self._forget(found, int(chosen[found]))
-            self.states[found] = self.states[found][kept]
-        return PosesRefused(self.poses)
+    def plan(self) -> PoseSequence:
+        """Plan the motion; without arm states to which none leads, and at last without poses."""
+        tried = np.zeros(len(self.poses), int)
+        while True:
+            left = np.flatnonzero([len(one) > 0 for one in self.states])
+            if not len(left):
+                none = np.zeros(0, np.int64)
+                return PoseSequence(none, self.arm.robot.home[None], none)
+            order, chosen = self._ordered(left)
+            failed = self._unvisited(order, chosen)
+            if not len(failed):
+                found = self._joined(order, chosen)
+                if isinstance(found, PoseSequence):
+                    return found
+                failed = np.array([found])
+            for k in failed.tolist():
+                tried[k] += 1
+                self._ban(k, int(chosen[k]))
+                if tried[k] == RETRIES:
+                    self.states[k] = self.states[k][:0]
+
+    def _unvisited(
+        self, order: Int[np.ndarray, " p"], chosen: Int[np.ndarray, " p"]
+    ) -> Int[np.ndarray, " k"]:
+        """Return the poses to whose states the hand does not come, and straight neither."""
+        return np.array([k for k in order.tolist() if self._visit(k, chosen[k]) is None], np.int64)
+
+    def _ban(self, k: int, state: int) -> None:
+        """Leave out a state of a pose."""
+        self._forget(k, state)
+        self.states[k] = np.delete(self.states[k], state, axis=0)
 
     def _forget(self, k: int, state: int) -> None:
         """Renumber the known visits of a pose that loses a state."""
@@ -196,16 +201,19 @@ class _Sequencer:
             if index != state:
                 self._visits[k, index - (index > state)] = one
 
-    def _ordered(self) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        """Return the order of the poses, and the state at each."""
+    def _ordered(
+        self, left: Int[np.ndarray, " k"]
+    ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " p"]]:
+        """Return the order of the poses that are left, and the state of each pose."""
         home, chain = self.arm.robot.home, self.arm.robot.chain
         scale, turns = joint_scale(chain), full_turns(chain)
-        most = max(MIN_STATES, MAX_STATES // len(self.states))
+        states = [self.states[k] for k in left.tolist()]
+        most = max(MIN_STATES, MAX_STATES // len(states))
         kept = [
             np.argsort(_steps(home[None], one, scale, turns)[0], kind="stable")[:most]
-            for one in self.states
+            for one in states
         ]
-        q = np.concatenate([one[rows] for one, rows in zip(self.states, kept, strict=True)])
+        q = np.concatenate([one[rows] for one, rows in zip(states, kept, strict=True)])
         owner = np.repeat(np.arange(len(kept)), [len(rows) for rows in kept])
         index = np.concatenate(kept)
         first = _steps(home[None], q, scale, turns)[0]
@@ -226,7 +234,9 @@ class _Sequencer:
                 break
             order = better
             rows = _best_states(order, first, between, starts)
-        return order, index[rows]
+        chosen = np.full(len(self.states), -1)
+        chosen[left] = index[rows]
+        return left[order], chosen
 
     def _visit(self, k: int, state: int) -> _Visit | None:
         key = k, int(state)
@@ -279,7 +289,7 @@ class _Sequencer:
             visit = self._visit(k, int(chosen[k]))
             assert visit is not None
             path = _near(visit.path, now, turns, chain.lower, chain.upper)
-            leg = self._leg(now, path[-1])
+            leg = self._leg(now, path[-1], by_home=True)
             if leg is None:
                 return int(k)
             there = [leg[1:], path[::-1][1:], path[1:]]
@@ -294,13 +304,31 @@ class _Sequencer:
         return PoseSequence(self.poses[order], np.concatenate(parts), np.array(at))
 
     def _leg(
+        self,
+        start: Float[np.ndarray, " n"],
+        goal: Float[np.ndarray, " n"],
+        *,
+        by_home: bool = False,
+    ) -> Float[np.ndarray, "s n"] | None:
+        """Return close states of a motion from state to state, if need be by home; None without."""
+        key = start.tobytes(), goal.tobytes()
+        if key not in self._legs:
+            self._legs[key] = self._new_leg(start, goal)
+        found = self._legs[key]
+        if found is not None or not by_home:
+            return found
+        there = self._leg(self.arm.robot.home, goal)
+        back = None if there is None else self._leg(start, self.arm.robot.home)
+        return None if there is None or back is None else np.concatenate([back, there[1:]])
+
+    def _new_leg(
         self, start: Float[np.ndarray, " n"], goal: Float[np.ndarray, " n"]
     ) -> Float[np.ndarray, "s n"] | None:
-        """Return close states of a free motion that motors and base bear; None without any."""
+        """Plan a free motion that motors and base bear."""
         arm, chain = self.arm, self.arm.robot.chain
         loads = TaskLoads(arm.robot, arm.targets[0].motion)
         ends = start, goal, chain.lower, chain.upper
-        config = brief_config(arm.planner)
+        config = between_config(arm.planner)
         path = plan_with_clearance(*ends, self._motions, config=config, seed=arm.seed)
         if path is None:
             return None
@@ -357,7 +385,7 @@ def _best_states(
     """Return the states with the shortest path through the poses in their order, pose by pose."""
     parts = [slice(starts[k], starts[k + 1]) for k in order.tolist()]
     best, parents = first[parts[0]], []
-    for before, part in zip(parts[:-1], parts[1:], strict=True):
+    for before, part in pairwise(parts):
         lengths = best[:, None] + between[before, part]
         parents.append(lengths.argmin(0))
         best = lengths.min(0)

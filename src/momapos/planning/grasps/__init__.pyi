@@ -1,5 +1,7 @@
 from .config import GraspConfig as GraspConfig
 from .config import MotionConfig as MotionConfig
+from .grasp_files import OwnGrasps as OwnGrasps
+from .grasp_files import load_grasps as load_grasps
 from .hand_boxes import hand_of as hand_of
 from .handles import Handle as Handle
 from .handles import held_thickness as held_thickness
@@ -8,10 +10,11 @@ from .motion_record import FULL_DOF as FULL_DOF
 from .motion_record import TaskMotion as TaskMotion
 from .motion_record import no_turning as no_turning
 from .own_grasps import SAME_LINE as SAME_LINE
+from .own_grasps import nearest_shifted as nearest_shifted
 from .own_grasps import own_poses as own_poses
 from .own_grasps import shifted_along as shifted_along
 from .pose_targets import PoseTargets as PoseTargets
-from .pose_targets import pose_targets as pose_targets
+from .pose_targets import targets_of as targets_of
 from .pose_targets import tool_poses_of as tool_poses_of
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion

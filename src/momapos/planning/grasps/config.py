@@ -9,6 +9,7 @@ from momapos.core import InputError, refuse_above, refuse_below
 from momapos.model.scene import ResistanceConfig
 
 GraspFamily = Literal["pinch", "hook", "push", "suction"]
+OwnUse = Literal["too", "only", "first"]
 
 
 HANDLE_POINTS = (0.0, 0.6, -0.6)
@@ -36,6 +37,9 @@ class GraspConfig:
     """Turns about the handle's long axis [deg]."""
     tilts: tuple[float, ...] = (0.0, 25.0, -25.0)
     """Tilts along the handle [deg]."""
+    own: OwnUse = "too"
+    """How grasps of the user's own are used, if there are some for the task: together with ours
+    (too), alone (only), or alone and then, without an answer, with ours (first)."""
     pregrasp: float = 0.08
     """Length of the straight approach [m]."""
     hand_clearance: float = 0.004

@@ -251,12 +251,14 @@ def select_part_grasps(
     handles: list[Handle] = []
     reasons: list[str] = []
     two_sided = opens_both_ways(model, joint)
+    only_own = config.own == "only" and len(own) > 0
     for handle in handles_in_turn(model, joint, sign, latch):
         if handle in excluded or (found and not _adds_to(found[0][0], handle)):
             continue
         handles.append(handle)
-        grasps = grasps_of(robot, model, joint, sign, handle, config)
-        grasps = grasps.and_also(grasps_at(robot, model, joint, sign, handle, own, config))
+        grasps = grasps_at(robot, model, joint, sign, handle, own, config)
+        if not only_own:
+            grasps = grasps_of(robot, model, joint, sign, handle, config).and_also(grasps)
         strong, reason = _strong(robot, model, joint, grasps, resistance, handle, config)
         if len(strong.code):
             found.append((handle, strong))
@@ -264,7 +266,7 @@ def select_part_grasps(
                 break
             continue
         reasons.append(reason)
-    pushes = closes and Family.PUSH in config.families
+    pushes = closes and Family.PUSH in config.families and not only_own
     pushed = push_grasps(robot, model, joint, sign, config) if pushes else None
     if pushed is not None and len(pushed[1].code):
         found.append(pushed)

@@ -13,7 +13,7 @@ from .config import MAX_GRASPS
 from .part_grasps import poses_of
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Bool, Float, Int
 
 TOLERANCE = 1e-3
 """Largest deviation of a rotation from an orthonormal one [-]; sources compute in single
@@ -66,6 +66,13 @@ def shifted_along(
     Ts: Float[np.ndarray, "g 4 4"], others: Float[np.ndarray, "h 4 4"], axis: Float[np.ndarray, "3"]
 ) -> Bool[np.ndarray, " g"]:
     """Return which tool poses differ from one of others at most by a shift along a tool axis."""
+    return nearest_shifted(Ts, others, axis) >= 0
+
+
+def nearest_shifted(
+    Ts: Float[np.ndarray, "g 4 4"], others: Float[np.ndarray, "h 4 4"], axis: Float[np.ndarray, "3"]
+) -> Int[np.ndarray, " g"]:
+    """Return from which of others each tool pose differs at most by such a shift; -1 for none."""
     from scipy.spatial import cKDTree
 
     lines = []
@@ -73,8 +80,8 @@ def shifted_along(
         along = R @ axis
         foot = p - np.einsum("gi,gi->g", p, along)[:, None] * along
         lines.append(np.concatenate([R.reshape(-1, 9), foot], axis=1))
-    nearest, _ = cKDTree(lines[1]).query(lines[0], p=np.inf, distance_upper_bound=SAME_LINE)
-    return np.isfinite(nearest)
+    away, nearest = cKDTree(lines[1]).query(lines[0], p=np.inf, distance_upper_bound=SAME_LINE)
+    return np.where(np.isfinite(away), nearest, -1)
 
 
 def _first(bad: np.ndarray) -> int:

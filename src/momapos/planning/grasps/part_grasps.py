@@ -496,7 +496,7 @@ def grasps_at(
     hand = hand_of(robot)
     carried = handle.carrier == model.joint(joint).child
     if not len(Ts_part_tool) or not carried or not closes_fingers(robot):
-        return _none("")
+        return _none(f"no grasp of your own holds {handle.name}" if len(Ts_part_tool) else "")
     return _closed(robot, hand, model, joint, sign, handle, config, Ts_part_tool)
 
 

@@ -15,9 +15,7 @@ import numpy as np
 
 from momapos.core.geometry import orthonormal, rotation_about
 from momapos.model.records import Task, ToolPose
-from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.model.urdf import Boxes, MovingBoxes
 
 from .grasp_families import Grasps
 from .motion_record import TaskMotion, Turning
@@ -85,7 +83,7 @@ def tool_poses_of(pose: ToolPose) -> Float[np.ndarray, "v 4 4"]:
     return Ts
 
 
-def pose_targets(
+def targets_of(
     scene: Scene, task: Task, Ts: Sequence[Float[np.ndarray, "v 4 4"]]
 ) -> list[PoseTargets]:
     """Return the motions of a task's poses, one for each object that is to be touched.

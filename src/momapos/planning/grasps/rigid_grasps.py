@@ -92,6 +92,10 @@ def select_object_grasps(
     if not len(own) or not closes_fingers(robot):
         return found
     also = _held_at(robot, _Body.of(item.model, weight, pose), T @ own, config, carried=carried)
+    if config.own == "only":
+        return replace(
+            also, reason=also.reason and f"{also.reason} (at {len(own)} grasps of your own)"
+        )
     if found.reason or also.reason:
         return also if found.reason and not also.reason else found
     return _both(found, also)

@@ -20,6 +20,7 @@ from .grasp_scores import sees as sees
 from .grasp_scores import turning_grasp_scorer as turning_grasp_scorer
 from .grasp_scores import two_grasp_scorer as two_grasp_scorer
 from .pose_cost import cost_terms as cost_terms
+from .pose_cover import cover_choices as cover_choices
 from .pose_cover import fewest_serving_all as fewest_serving_all
 from .pose_search import is_within_reach as is_within_reach
 from .pose_search import iter_searches as iter_searches
