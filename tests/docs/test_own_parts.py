@@ -130,7 +130,7 @@ def test_inverse_kinematics_of_ones_own_finds_the_states() -> None:
 def test_grasps_of_ones_own_are_all_used() -> None:
     names = run("Grasps")
     assert names["result"].plan.status == "solved"
-    assert not any("of your own" in note for note in names["result"].notes)
+    assert not any("can be used" in note for note in names["result"].notes)
 
 
 @pytest.mark.parametrize(

@@ -83,13 +83,13 @@ def _own_note(prepared: PreparedTask, found: Motion) -> str:
     away = np.abs(grasps - found.Ts_world_tool[0]).sum((1, 2))
     taken = int(nearest_shifted(grasps[[away.argmin()]], Ts, robot.closing_axis)[0])
     names = getattr(robot.own_grasps, "names", ())
-    words = f"grasp {taken + 1}" if taken >= len(names) else names[taken]
+    words = names[taken] if 0 <= taken < len(names) else f"grasp {taken + 1}"
     which = "none of your own grasps is taken" if taken < 0 else f"takes {words} of your own"
     if used == len(own):
         return which
     return (
-        f"{which}; {used} of {len(own)} can be used, at the others the hand is not free, or does "
-        f"not hold {target.name}"
+        f"{used} of {len(own)} grasps of your own can be used; at the others the hand is not free, "
+        f"or does not hold {target.name}; {which}"
     )
 
 

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,16 @@ from momapos.core.geometry import halton
 from momapos.core.shortest_order import shortest_order
 from momapos.model import with_close_states
 from momapos.model.collision import FREE, check
-from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus
+from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus, ReachScorer
 from momapos.model.urdf import Boxes
-from momapos.planning.arm_motion import PoseArm, PoseSequence, free_hands, world_tools
+from momapos.planning.arm_motion import (
+    PoseArm,
+    PoseSequence,
+    between_config,
+    brief_config,
+    free_hands,
+    world_tools,
+)
 from momapos.planning.grasps import FULL_DOF, targets_of, tool_poses_of
 from momapos.planning.navigation import BasePath, TravelLengths, plan_path
 from momapos.planning.placement import (
@@ -42,6 +49,7 @@ from momapos.planning.placement import (
 
 from .query import PlacementQuery
 from .result import PlacementResult, plan_of
+from .search_setup import optimistic
 from .task_setup import PreparedTask, collision_world, cost_map, start_pose
 from .tour import Tour
 
@@ -51,6 +59,8 @@ if TYPE_CHECKING:
 SAMPLES_PER_AREA, MIN_SAMPLES, MAX_SAMPLES = 800.0, 4_096, 32_768
 """Base poses that are sampled: a number per area from which some tool pose may be within reach
 [1/m^2], and bounds [-]. With 800 they are 10 cm and 45 degrees apart."""
+MORE = 2.0
+"""So many times as many are sampled around poses that none of the first serves [-]."""
 CHECK_ROUNDS = 4
 """How often base poses to choose among are checked, as others take the place of some [-]."""
 ALTERNATIVES = 12
@@ -118,13 +128,22 @@ class ServingBases:
         )  # fmt: skip
 
 
+class _Stop(NamedTuple):
+    """A chosen base pose, and the tool poses that it is there for."""
+
+    row: int
+    """Its row in the base poses."""
+    poses: Int[np.ndarray, " p"]
+    """Indices of the tool poses."""
+
+
 @dataclass(eq=False)
 class PoseSearch:
     """The search of one answer."""
 
     query: PlacementQuery
     in_order: bool
-    tools: list[Float[np.ndarray, "v 4 4"]]
+    tools: list[Float[np.ndarray, "_ 4 4"]]
     """Tool poses at which the hand is free, for each pose."""
     reasons: dict[int, str]
     """Why no base pose serves a pose, where that is known."""
@@ -139,7 +158,7 @@ class PoseSearch:
     """Number of base poses whose arm was checked [-]."""
     _motions: dict[tuple[int, bytes], tuple[PreparedTask, Motion]] = field(default_factory=dict)
     """Checked motions, by base pose and poses."""
-    _planned: list[tuple[int, Int[np.ndarray, " p"]]] = field(default_factory=list)
+    _planned: list[_Stop] = field(default_factory=list)
     """Base poses with a planned motion, and the poses that it reaches."""
     _lengths: dict[int, Float[np.ndarray, " n"]] = field(default_factory=dict)
     """Driving lengths from base poses to all others [m]."""
@@ -169,7 +188,8 @@ class PoseSearch:
             arm = None
             if usable:
                 pregrasp = config.motion.grasps.pregrasp
-                arm = PoseArm(robot, usable, worlds, config.arm_planner, pregrasp, query.seed)
+                planner = between_config(config.arm_planner)
+                arm = PoseArm(robot, usable, worlds, planner, pregrasp, query.seed)
         motion = every[0].motion
         geometry = PlacementGeometry(
             robot, np.stack([pose.T_world_tool for pose in task.poses])[None],
@@ -188,23 +208,42 @@ class PoseSearch:
 
     def answer(self) -> Tour:
         """Return the stops; tool poses that no base pose serves come last."""
-        steps: list[PlacementResult] = []
         usable = np.flatnonzero([len(one) > 0 for one in self.tools])
         with self.query.watch.stage("search"):
             rows = self.rows_of(self._samples(usable))
-        served = np.flatnonzero(rows.serves.any(0))
-        while len(served):
-            found = self._stops(rows, served)
-            if found is not None:
-                steps = found
-                break
-            served = np.flatnonzero(rows.serves.any(0))
+        steps, served = self._most(rows)
+        lost = np.setdiff1d(usable, served)
+        if len(lost):
+            rows = self._with_more(rows, lost)
+            more, then = self._most(rows)
+            steps, served = (more, then) if len(then) > len(served) else (steps, served)
         stops = list(range(1, 1 + len(steps)))
         lost = np.setdiff1d(np.arange(len(self.tools)), served)
         if len(lost):
             steps.append(self._refused(lost))
             stops.append(len(steps))
         return Tour(tuple(steps), tuple(stops), scenes=(self.query.scene,) * len(steps))
+
+    def _most(self, rows: ServingBases) -> tuple[list[PlacementResult], Int[np.ndarray, " k"]]:
+        """Return the stops for all poses that some base pose serves, and these poses."""
+        while True:
+            served = np.flatnonzero(rows.serves.any(0))
+            steps = self._stops(rows, served) if len(served) else []
+            if steps is not None:
+                return steps, served
+
+    def _with_more(self, rows: ServingBases, lost: Int[np.ndarray, " k"]) -> ServingBases:
+        """Return more base poses around poses that none serves, and plan longer from now on."""
+        query = self.query
+        with query.watch.stage("search"):
+            bases = self._samples(lost, MORE, query.seed + 1)
+            more = self.rows_of(bases, reach=optimistic(query.reach))
+        kept = more.serves[:, lost].any(1)
+        more = ServingBases(more.bases[kept], more.travel[kept], more.serves[kept], more.sure[kept])
+        if self.arm is not None:
+            self.arm = replace(self.arm, planner=brief_config(query.config.arm_planner))
+        self._lengths.clear()
+        return rows.joined(more)
 
     def _stops(
         self, rows: ServingBases, served: Int[np.ndarray, " k"]
@@ -228,11 +267,18 @@ class PoseSearch:
 
     # The base poses.
 
-    def rows_of(self, bases: Float[np.ndarray, "n 3"], *, by_map: bool = True) -> ServingBases:
+    def rows_of(
+        self,
+        bases: Float[np.ndarray, "n 3"],
+        *,
+        reach: ReachScorer | None = None,
+        by_map: bool = True,
+    ) -> ServingBases:
         """Return the base poses that stand clear and that the robot may drive to.
 
         Args:
             bases: Base poses x [m], y [m], yaw [rad].
+            reach: The reachability map; that of the query by default.
             by_map: Whether the reachability map says which poses each serves, and those that serve
                 none are left out; else all poses within the arm's length count.
         """
@@ -256,15 +302,24 @@ class PoseSearch:
             bases, travel = bases[fits], travel[fits]
         serves = np.zeros((len(bases), len(self.tools)), bool)
         if len(usable):
-            serves[:, usable] = self._reached(bases, usable, by_map=by_map)
+            scorer = (reach or query.reach) if by_map else None
+            serves[:, usable] = self._reached(bases, usable, scorer)
         some = serves.any(1) | (not by_map)
         self.counts[PoseOutcome(PoseStatus.OUT_OF_REACH)] += int((~some).sum())
         return ServingBases(
             bases[some], travel[some], serves[some], np.zeros(int(some.sum()), bool)
         )
 
-    def _samples(self, poses: Int[np.ndarray, " k"]) -> Float[np.ndarray, "n 3"]:
-        """Return base poses spread evenly over the floor from which a pose may be within reach."""
+    def _samples(
+        self, poses: Int[np.ndarray, " k"], share: float = 1.0, seed: int | None = None
+    ) -> Float[np.ndarray, "n 3"]:
+        """Return base poses spread evenly over the floor from which a pose may be within reach.
+
+        Args:
+            poses: Indices of the poses.
+            share: Number of base poses, relative to the usual one.
+            seed: Shifts them; that of the query by default.
+        """
         if not len(poses):
             return np.zeros((0, 3))
         geometry = self.prepared.geometry
@@ -277,8 +332,8 @@ class PoseSearch:
         if (low >= high).any():
             return np.zeros((0, 3))
         area = float(np.prod(high - low))
-        count = int(np.clip(SAMPLES_PER_AREA * area, MIN_SAMPLES, MAX_SAMPLES))
-        shift = np.random.default_rng(self.query.seed).uniform(size=3)
+        count = int(share * np.clip(SAMPLES_PER_AREA * area, MIN_SAMPLES, MAX_SAMPLES))
+        shift = np.random.default_rng(self.query.seed if seed is None else seed).uniform(size=3)
         unit = (halton(count, 3) + shift) % 1.0
         bases = np.column_stack([low + unit[:, :2] * (high - low), np.pi * (2 * unit[:, 2] - 1)])
         near = np.zeros(count, bool)
@@ -287,10 +342,13 @@ class PoseSearch:
         return bases[near]
 
     def _reached(
-        self, bases: Float[np.ndarray, "n 3"], poses: Int[np.ndarray, " k"], *, by_map: bool
+        self,
+        bases: Float[np.ndarray, "n 3"],
+        poses: Int[np.ndarray, " k"],
+        reach_map: ReachScorer | None,
     ) -> Bool[np.ndarray, "n k"]:
-        """Return which poses may be within reach from which base poses."""
-        if not by_map:
+        """Return which poses may be within reach from which base poses, by a map or by length."""
+        if reach_map is None:
             geometry = self.prepared.geometry
             reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
             points = geometry.Ts_world_tool[0, poses, :2, 3]
@@ -302,7 +360,7 @@ class PoseSearch:
         block = max(1, _LOOKUPS // len(Ts))
         for k in range(0, len(bases), block):
             look()
-            scores = self.query.reach.min_score(bases[k : k + block], Ts)
+            scores = reach_map.min_score(bases[k : k + block], Ts)
             out[k : k + block] = np.logical_or.reduceat(scores > 0.0, first, axis=1)
         return out
 
@@ -313,9 +371,7 @@ class PoseSearch:
 
     # The choice of the stops.
 
-    def _choice(
-        self, rows: ServingBases, served: Int[np.ndarray, " k"]
-    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
+    def _choice(self, rows: ServingBases, served: Int[np.ndarray, " k"]) -> list[_Stop]:
         """Return the base pose of each stop, and the poses it is there for."""
         if self.in_order:
             return self._runs(rows, served)
@@ -346,7 +402,7 @@ class PoseSearch:
     def _assigned(
         self, chosen: Int[np.ndarray, " k"], serves: Bool[np.ndarray, "n p"],
         served: Int[np.ndarray, " p"],
-    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:  # fmt: skip
+    ) -> list[_Stop]:  # fmt: skip
         """Assign each pose to a stop: to one with a planned motion, else to the first."""
         owner = np.full(len(served), -1)
         for row, poses in self._planned:
@@ -354,17 +410,15 @@ class PoseSearch:
                 owner[(owner < 0) & np.isin(served, poses) & serves[row]] = row
         for row in chosen.tolist():
             owner[(owner < 0) & serves[row]] = row
-        return [(row, served[owner == row]) for row in chosen.tolist() if (owner == row).any()]
+        return [_Stop(k, served[owner == k]) for k in chosen.tolist() if (owner == k).any()]
 
-    def _runs(
-        self, rows: ServingBases, served: Int[np.ndarray, " k"]
-    ) -> list[tuple[int, Int[np.ndarray, " p"]]]:
+    def _runs(self, rows: ServingBases, served: Int[np.ndarray, " k"]) -> list[_Stop]:
         """Return the stops for poses in their order: each serves as many of the next as any."""
         stops, first, travel = [], 0, rows.travel
         while first < len(served):
             run = np.logical_and.accumulate(rows.serves[:, served[first:]], axis=1).sum(1)
             row = int(np.lexsort((travel, -run))[0])
-            stops.append((row, served[first : first + run[row]]))
+            stops.append(_Stop(row, served[first : first + run[row]]))
             first += int(run[row])
             travel = self._lengths_from(rows, row)
         return stops
@@ -401,9 +455,7 @@ class PoseSearch:
             self._lengths[row] = self.travel(rows.bases[row])(rows.bases)
         return self._lengths[row]
 
-    def _alternatives(
-        self, rows: ServingBases, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
-    ) -> Int[np.ndarray, " r"]:
+    def _alternatives(self, rows: ServingBases, stops: Sequence[_Stop]) -> Int[np.ndarray, " r"]:
         """Return the chosen base poses, and with unchecked ones others that could replace them."""
         chosen = [row for row, _ in stops]
         if rows.sure[chosen].all():
@@ -437,9 +489,7 @@ class PoseSearch:
         rows.serves[which[row[~reached]], pose[~reached]] = False
         rows.sure[which] = True
 
-    def _steps(
-        self, rows: ServingBases, stops: Sequence[tuple[int, Int[np.ndarray, " p"]]]
-    ) -> list[PlacementResult] | None:
+    def _steps(self, rows: ServingBases, stops: Sequence[_Stop]) -> list[PlacementResult] | None:
         """Plan the motions at all stops; None if one fails, which then no longer serves poses."""
         arms = [self._arm_motion(rows, row, poses) for row, poses in stops]
         if any(arm is None for arm in arms):
@@ -480,7 +530,7 @@ class PoseSearch:
                 rows.serves[row] = False
                 return None
             self._motions[row, np.sort(found.poses).tobytes()] = prepared, motion
-            self._planned.append((row, found.poses))
+            self._planned.append(_Stop(row, found.poses))
         return self._motions.get(key)
 
     def _path(self, rows: ServingBases, row: int, at: Float[np.ndarray, "3"]) -> BasePath | None:

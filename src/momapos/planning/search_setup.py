@@ -202,7 +202,7 @@ def prepare_search(query: PlacementQuery, modeled: Scene, motion: TaskMotion) ->
     problem = Problem(
         geometry=prepared.geometry,
         reach=query.reach,
-        grid_reach=_optimistic(query.reach),
+        grid_reach=optimistic(query.reach),
         mode_scorers=prepared.mode_scorers,
         travel_cost=TravelLengths(costs, query.robot, start),
         attempt=_accepted(feasible, drives, robust),
@@ -240,7 +240,7 @@ def _accepted(check: AttemptPose, drives: BasePaths, robust: RobustChecks | None
     return drivable if robust is None else robust.around(drivable)
 
 
-def _optimistic(reach: ReachScorer) -> ReachScorer:
+def optimistic(reach: ReachScorer) -> ReachScorer:
     """Return a map that also accepts lines up to `DOUBT` cells outside its boundary."""
     if isinstance(reach, ReachMap):
         return replace(reach, threshold=reach.threshold - DOUBT)

@@ -118,7 +118,7 @@ class _PlanRun:
                 run.world.release()
         ending = ending or self._drive() or self._approach()
         for first, last, hold in cuts_of(motion):
-            free = place or hold is None
+            free = place or hold is None or bool(self.plan.task.poses)
             if free:
                 if run.held:
                     ending = ending or run.let_go()

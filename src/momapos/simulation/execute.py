@@ -75,7 +75,9 @@ def judge(
     """
     if observer.diverged:
         return TaskOutcome(False, stopped, 0.0, 0.0, 0.0)
-    if task.joint is None:
+    if task.poses:  # the tool is compared with the plan along the whole motion
+        reason, start, asked, reached = "", 0.0, 0.0, 0.0
+    elif task.joint is None:
         reason, start, asked, reached = _judge_object(
             world, observer, task, item, T_first, motion, config
         )

@@ -87,7 +87,7 @@ def run(
         world_at: Pose of the true scene's origin in the plan's scene [m, m, rad or deg].
         hold: contact: the fingers close and hold by friction; weld: a compliant, breakable weld at
             the grasp, for robots without fingers.
-        exact: Follow the plan's own states, without replanning.
+        exact: Follow the plan's own states, without replanning; so is always a plan of reach.
         noise: No sensor noise of the base, and furniture exactly as heavy as modeled.
         tries: Maximum number of executed motions (default: 3; with --world one more for each
             further hypothesis of the joint type).
@@ -122,7 +122,7 @@ def run(
     from .console import progress
 
     opened = open_plans(files.plans, scene_root, robot, "to execute", allow_assumed=allow_assumed)
-    if exact:
+    if exact or any(content.task.poses for content, _, _ in opened):
         return _run_exactly(opened, files, hold, json=json)
     with require("physics"):
         from momapos.planning.navigation import DriveConfig

@@ -170,6 +170,8 @@ def _pose(row: Any, common: Mapping[str, Any], number: int, path: Path, scene: S
     _refuse_unknown(own, (*_PLACE, "name", "header", "pose", *_COMMON), where)
     frame, contact = (_name_of(key, own, common, where) for key in ("frame", "contact"))
     tolerance = {**_tolerance(common, str(path)), **_tolerance(own, where)}
+    if "axis" not in tolerance and {"spin", "cone"} & tolerance.keys():
+        raise InputError(f"{where}: tolerance.spin and tolerance.cone need tolerance.axis")
     name = str(own.get("name", "")) or f"pose {number}"
     try:
         T = frame_named(frame, scene) @ transform_of(own, where)
@@ -276,8 +278,6 @@ def _tolerance(given: Mapping[str, Any], where: str) -> dict[str, Any]:
             out[name] = tuple(_number(what, one) for one in each)
         else:
             out[name] = _number(what, value)
-    if "axis" not in out and {"spin", "cone"} & out.keys():
-        raise InputError(f"{where}: tolerance.spin and tolerance.cone need tolerance.axis")
     return out
 
 

@@ -3,6 +3,7 @@ from .arm_path import find_paths as find_paths
 from .arm_path import waypoint_name as waypoint_name
 from .arm_planner import RESOLUTION as RESOLUTION
 from .arm_planner import FreePath as FreePath
+from .arm_planner import between_config as between_config
 from .arm_planner import brief_config as brief_config
 from .arm_planner import interpolate as interpolate
 from .arm_planner import plan_with_clearance as plan_with_clearance

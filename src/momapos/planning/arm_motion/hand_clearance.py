@@ -411,7 +411,7 @@ def collision_free_grasps(
     """
     alive, hits = np.arange(len(motion.Ts_world_tool)), []
     # Most failures occur at the grasp itself: check it first.
-    for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, 1)):
+    for steps in (motion.waypoint_steps[1:2], np.delete(motion.waypoint_steps, slice(1, 2))):
         Ts = motion.Ts_world_tool[alive[:, None], steps].reshape(-1, 4, 4)
         width = np.repeat(motion.grasps.width[alive], len(steps))
         codes = hand_hits_along(robot, world, motion, Ts, np.tile(steps, len(alive)), width)

@@ -24,7 +24,7 @@ from momapos.model.robots import Robot
 from momapos.planning.grasps import PoseTargets, TaskMotion
 
 from .arm_path import follow
-from .arm_planner import RESOLUTION, between_config, plan_with_clearance
+from .arm_planner import RESOLUTION, plan_with_clearance
 from .config import PlannerConfig
 from .hand_clearance import arm_spheres, hand_hits
 from .ik_layers import TaskLoads, full_turns, joint_scale, layer_jobs, solve_layers, task_arrays
@@ -79,7 +79,7 @@ class PoseArm:
 
     def states(
         self, base: Float[np.ndarray, "3"], poses: Int[np.ndarray, " p"]
-    ) -> list[Float[np.ndarray, "s n"]]:
+    ) -> list[Float[np.ndarray, "_ n"]]:
         """Return all free arm states at each of some poses."""
         found: dict[int, np.ndarray] = {}
         for targets, world in zip(self.targets, self.worlds, strict=True):
@@ -154,7 +154,7 @@ class _Sequencer:
     arm: PoseArm
     base: Float[np.ndarray, "3"]
     poses: Int[np.ndarray, " p"]
-    states: list[Float[np.ndarray, "s n"]]
+    states: list[Float[np.ndarray, "_ n"]]
     in_order: bool
     _visits: dict[tuple[int, int], _Visit | None] = field(default_factory=dict)
     _legs: dict[tuple[bytes, bytes], Float[np.ndarray, "s n"] | None] = field(default_factory=dict)
@@ -185,7 +185,8 @@ class _Sequencer:
         self, order: Int[np.ndarray, " p"], chosen: Int[np.ndarray, " p"]
     ) -> Int[np.ndarray, " k"]:
         """Return the poses to whose states the hand does not come, and straight neither."""
-        return np.array([k for k in order.tolist() if self._visit(k, chosen[k]) is None], np.int64)
+        states = zip(order.tolist(), chosen[order].tolist(), strict=True)
+        return np.array([k for k, one in states if self._visit(k, one) is None], np.int64)
 
     def _ban(self, k: int, state: int) -> None:
         """Leave out a state of a pose."""
@@ -239,7 +240,7 @@ class _Sequencer:
         return left[order], chosen
 
     def _visit(self, k: int, state: int) -> _Visit | None:
-        key = k, int(state)
+        key = k, state
         if key not in self._visits:
             self._visits[key] = self._new_visit(int(self.poses[k]), self.states[k][state])
         return self._visits[key]
@@ -328,8 +329,7 @@ class _Sequencer:
         arm, chain = self.arm, self.arm.robot.chain
         loads = TaskLoads(arm.robot, arm.targets[0].motion)
         ends = start, goal, chain.lower, chain.upper
-        config = between_config(arm.planner)
-        path = plan_with_clearance(*ends, self._motions, config=config, seed=arm.seed)
+        path = plan_with_clearance(*ends, self._motions, config=arm.planner, seed=arm.seed)
         if path is None:
             return None
         states = path.states()
@@ -339,7 +339,7 @@ class _Sequencer:
             build_motions, arm.worlds[0], chain, arm.robot.spheres.by_hulls, self.base, value=0,
             holding=False, step=RESOLUTION, load=loads.of_hand(None),
         )  # fmt: skip
-        path = plan_with_clearance(*ends, bounded, config=config, seed=arm.seed)
+        path = plan_with_clearance(*ends, bounded, config=arm.planner, seed=arm.seed)
         return None if path is None else path.states()
 
 

@@ -84,7 +84,7 @@ def tool_poses_of(pose: ToolPose) -> Float[np.ndarray, "v 4 4"]:
 
 
 def targets_of(
-    scene: Scene, task: Task, Ts: Sequence[Float[np.ndarray, "v 4 4"]]
+    scene: Scene, task: Task, Ts: Sequence[Float[np.ndarray, "_ 4 4"]]
 ) -> list[PoseTargets]:
     """Return the motions of a task's poses, one for each object that is to be touched.
 
@@ -108,7 +108,7 @@ def targets_of(
 def _targets(
     scene: Scene,
     task: Task,
-    Ts: Sequence[Float[np.ndarray, "v 4 4"]],
+    Ts: Sequence[Float[np.ndarray, "_ 4 4"]],
     rows: Int[np.ndarray, " p"],
     contact: str,
 ) -> PoseTargets:

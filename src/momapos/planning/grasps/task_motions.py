@@ -273,6 +273,10 @@ def task_motion(
     Raises:
         TaskError: The robot has no gripper for a rigid object, or the object has no shape.
     """
+    if task.poses:
+        from .pose_targets import targets_of, tool_poses_of  # it uses this module
+
+        return targets_of(scene, task, [tool_poses_of(pose) for pose in task.poses])[0].motion
     target = scene.object(task.object)
     if task.joint is None:
         return _rigid_motion(scene, robot, task, target, config)
