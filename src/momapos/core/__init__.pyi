@@ -63,6 +63,9 @@ from .files import write_file as write_file
 from .forking import fork_safe_lock as fork_safe_lock
 from .owned_results import owner_cache as owner_cache
 from .saved_arrays import load_array as load_array
+from .short_paths import improved_order as improved_order
+from .short_paths import path_length as path_length
+from .short_paths import shortest_order as shortest_order
 from .stopwatch import GRACE_PERIOD as GRACE_PERIOD
 from .stopwatch import Clock as Clock
 from .stopwatch import Stopwatch as Stopwatch

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core import InputError, RobotError, look
+from momapos.core import InputError, RobotError, look, shortest_order
 from momapos.core.geometry import halton
-from momapos.core.shortest_order import shortest_order
 from momapos.model import with_close_states
 from momapos.model.collision import FREE, check
 from momapos.model.records import Hold, Motion, PoseOutcome, PoseStatus, ReachScorer

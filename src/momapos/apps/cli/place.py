@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.planning import PipelineConfig, PlacementResult
-    from momapos.planning.grasps.config import OwnUse
+    from momapos.planning.grasps import OwnUse
     from momapos.planning.reachability import ArmLength, ReachMap
 
 

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import look
+from momapos.core import improved_order, look, path_length
 from momapos.core.geometry import invert, pose_planar
-from momapos.core.shortest_order import improved_order, path_length
 from momapos.model.collision import FREE, CollisionWorld, StraightMotions, build_motions, check
 from momapos.model.robots import Robot
 from momapos.planning.grasps import PoseTargets, TaskMotion

@@ -1,11 +1,13 @@
 from .config import GraspConfig as GraspConfig
 from .config import MotionConfig as MotionConfig
+from .config import OwnUse as OwnUse
 from .grasp_files import OwnGrasps as OwnGrasps
 from .grasp_files import load_grasps as load_grasps
 from .hand_boxes import hand_of as hand_of
 from .handles import Handle as Handle
 from .handles import held_thickness as held_thickness
 from .handles import opening_direction as opening_direction
+from .motion_boxes import scene_boxes as scene_boxes
 from .motion_record import FULL_DOF as FULL_DOF
 from .motion_record import TaskMotion as TaskMotion
 from .motion_record import no_turning as no_turning
@@ -22,7 +24,6 @@ from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT
 from .task_motions import GraspFilter as GraspFilter
 from .task_motions import in_scene as in_scene
 from .task_motions import lift_of as lift_of
-from .task_motions import scene_boxes as scene_boxes
 from .task_motions import task_motion as task_motion
 from .task_motions import with_other_handle as with_other_handle
 from .task_requests import PartFacts as PartFacts

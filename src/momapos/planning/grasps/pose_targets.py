@@ -18,8 +18,8 @@ from momapos.model.records import Task, ToolPose
 from momapos.model.scene import Scene
 
 from .grasp_families import Grasps
+from .motion_boxes import moving_boxes, static_boxes
 from .motion_record import TaskMotion, Turning
-from .task_motions import moving_boxes, static_boxes
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int

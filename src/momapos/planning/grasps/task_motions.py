@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -21,7 +21,7 @@ from momapos.model.scene import (
     object_mass,
     resistance_along,
 )
-from momapos.model.urdf import Articulated, Boxes, Joint, MovingBoxes, opening_of
+from momapos.model.urdf import Articulated, Joint, opening_of
 from momapos.verification import free_lift
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
@@ -29,122 +29,16 @@ from .grasp_families import MIN_LEVER, GraspSelection, select_inner_pushes, sele
 from .hand_boxes import closes_fingers, hand_of
 from .handle_shapes import CarriedPart
 from .handles import Handle, HandleKind, find_handle, handles_in_turn
+from .motion_boxes import bodies_moved_by, held_elements, moving_boxes, static_boxes
 from .motion_record import TaskMotion, Weight, no_turning, turning_about
 from .own_grasps import own_poses
 from .part_grasps import pinch_capacity
 from .part_motion import lever_arms, levers_along, motion_directions
+from .pose_targets import targets_of, tool_poses_of
 from .rigid_grasps import select_object_grasps
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
-
-
-_PARTS = 8
-"""Number of parts of a scene for which the static boxes are cached; a question has a few [-]."""
-Body: TypeAlias = "tuple[Float[np.ndarray, 'v 4 4'], Mapping[str, Float[np.ndarray, '4 4']]]"
-"""A rigid body that moves: its world pose at each value, and the poses of its links in it."""
-
-
-def moving_boxes(
-    target: SceneObject,
-    bodies: Sequence[Body],
-    held: Mapping[str, Collection[int]] | None,
-) -> tuple[MovingBoxes, list[str], Bool[np.ndarray, " m"]]:
-    """Return the boxes of the moving links at each value, their labels, and which may be touched.
-
-    Args:
-        target: The object.
-        bodies: The rigid bodies that move, one or more.
-        held: Indices of the grasped collision elements by link; None for all.
-    """
-    found, labels, touched = [], [], [np.zeros(0, bool)]
-    for Ts_world_body, T_body_link in bodies:
-        carried = []
-        for link, T in T_body_link.items():
-            for index, boxes in enumerate(target.model.boxes[link]):
-                element = target.model.static_elements[link][index]
-                label = element.label(link, static=False)
-                carried.append(boxes.moved(T))
-                labels += [f"{target.name}/{label}"] * len(boxes)
-                touched.append(np.full(len(boxes), held is None or index in held.get(link, ())))
-        found.append(_along(Boxes.join(carried), Ts_world_body))
-    return MovingBoxes.join(found), labels, np.concatenate(touched)
-
-
-def bodies_moved_by(
-    target: SceneObject,
-    joint: str,
-    values: Float[np.ndarray, " v"],
-    latch: Float[np.ndarray, " v"] | None = None,
-) -> dict[str, Body]:
-    """Return the bodies that a joint and its mimic joints move, by the link that carries each.
-
-    Args:
-        target: The object.
-        joint: Its joint.
-        values: Values of the joint [rad] or [m].
-        latch: Values of the object's latch, if it is turned, too [rad] or [m].
-    """
-    poses, moving = target.link_poses(), target.moving_poses(joint, values, latch)
-    turned = () if target.latch is None or latch is None else (target.latch.joint,)
-    groups = target.model.rigid_groups(joint, *turned)
-    back = {carrier: invert(poses[carrier]) for carrier in dict.fromkeys(groups.values())}
-    return {
-        carrier: (
-            moving[carrier],
-            {link: T @ poses[link] for link, one in groups.items() if one == carrier},
-        )
-        for carrier, T in back.items()
-    }
-
-
-def _along(boxes: Boxes, Ts: Float[np.ndarray, "v 4 4"]) -> MovingBoxes:
-    """Return boxes at each pose of the link that carries them."""
-    R, p = Ts[:, :3, :3], Ts[:, None, :3, 3]
-    return MovingBoxes(
-        np.einsum("vij,mj->vmi", R, boxes.center) + p,
-        np.einsum("vij,mjk->vmik", R, boxes.rotation),
-        np.broadcast_to(boxes.half, (len(R), *boxes.half.shape)).copy(),
-    )
-
-
-def held_elements(handles: Iterable[Handle]) -> dict[str, set[int]]:
-    """Return the indices of the handles' collision elements by link."""
-    held: dict[str, set[int]] = {}
-    for element in (e for handle in handles for e in handle.elements):
-        if element.index is not None:
-            held.setdefault(element.link, set()).add(element.index)
-    return held
-
-
-def scene_boxes(scene: Scene) -> Boxes:
-    """Return all boxes of a scene."""
-    return static_boxes(scene, None, frozenset())[0]
-
-
-@owner_cache(_PARTS)
-def static_boxes(
-    scene: Scene, target: SceneObject | None, moved: frozenset[str]
-) -> tuple[Boxes, tuple[str, ...]]:
-    """Return the boxes of all static links, and their labels, cached for all motions of a part.
-
-    What lies flat on the floor is left out.
-
-    Args:
-        scene: The scene.
-        target: The object with moving links, if any.
-        moved: Names of these links.
-    """
-    found: list[Boxes] = []
-    labels: list[str] = []
-    for item in scene.objects:
-        if item.is_flat and item is not target:
-            continue
-        for link, boxes in item.static_boxes.items():
-            if item is not target or link not in moved:
-                found.append(boxes)
-                labels += item.static_labels(link)
-    return Boxes.join(found), tuple(labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,8 +168,6 @@ def task_motion(
         TaskError: The robot has no gripper for a rigid object, or the object has no shape.
     """
     if task.poses:
-        from .pose_targets import targets_of, tool_poses_of  # it uses this module
-
         return targets_of(scene, task, [tool_poses_of(pose) for pose in task.poses])[0].motion
     target = scene.object(task.object)
     if task.joint is None:

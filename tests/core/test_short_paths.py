@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from momapos.core.shortest_order import MAX_EXACT, improved_order, path_length, shortest_order
+from momapos.core.short_paths import MAX_EXACT, improved_order, path_length, shortest_order
 
 
 def lengths(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
