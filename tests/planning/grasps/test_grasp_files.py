@@ -149,7 +149,7 @@ def test_the_command_takes_the_grasp_of_the_file_and_names_it(
     assert "takes mine" in output_of(*words, path)
     far = str(written(tmp_path / "far.json", [{"xyz": [1, 0, 0], "wxyz": [1, 0, 0, 0]}]))
     assert "(at 1 grasps of your own)" in output_of(*words, far, status=3)
-    both = output_of(*words, far, "--ours-too")
+    both = output_of(*words, far, "--set", "motion.grasps.own=first")
     assert "none of your own grasps is taken" in both
 
 
@@ -171,5 +171,5 @@ def test_mistakes_are_named(kitchen: Scene, segway: Robot, task: Task, tmp_path:
         load_grasps(tmp_path / "wrong.npy", kitchen, segway, task)
     with pytest.raises(FileFormatError):
         load_grasps(tmp_path / "missing.json", kitchen, segway, task)
-    line = error_of("place", "pick", "kitchen_small", "cup", "--grasps-frame", "world")
-    assert line.endswith("--grasps-frame needs --grasps")
+    line = error_of("place", "pick", "kitchen_small", "cup", "--grasps", "missing.json")
+    assert "missing.json" in line

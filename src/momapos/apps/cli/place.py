@@ -34,7 +34,7 @@ from .options import (
     AreasArg,
     BaseArg,
     Flag,
-    FrameArg,
+    GraspsArg,
     JointsArg,
     MassArg,
     ObjectArg,
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
     from momapos.planning import PipelineConfig, PlacementResult
-    from momapos.planning.grasps import OwnUse
     from momapos.planning.reachability import ArmLength, ReachMap
 
 
@@ -199,15 +198,9 @@ class Options(SearchOptions):
     lift: ValueArg = None
     """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
     it would hit something)."""
-    grasps: OptionalFile = None
-    """Grasps of your own: poses of the tool, or a file of GraspGen, GraspNet, GPD or Isaac Sim."""
-    grasps_frame: FrameArg = None
-    """Frame of these grasps: world, an object, or a part (default: what the task moves)."""
-    grasps_depth: ValueArg = None
-    """Distance of the fingertips from the origin of the file's hand (default: 10.34 cm, 6 cm for
-    GPD)."""
-    ours_too: Flag = False
-    """Where none of your own grasps works, try ours."""
+    grasps: GraspsArg = None
+    """Use only these grasps of your own: poses of the tool in the frame of what the task moves, or
+    in FRAME (world, an object, a part); also files of GraspGen, Isaac Sim, GraspNet and GPD."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = DEFAULT_SAMPLES
@@ -225,9 +218,6 @@ class Options(SearchOptions):
         check_samples(self.tolerance_samples)
         if self.tolerance_samples != DEFAULT_SAMPLES and not self.tolerance:
             raise InputError("--tolerance-samples needs --tolerance")
-        for name in ("grasps_frame", "grasps_depth", "ours_too"):
-            if getattr(self, name) and self.grasps is None:
-                raise InputError(f"--{name.replace('_', '-')} needs --grasps")
 
     def read_config(self) -> PipelineConfig:
         """Read the configuration, with what other options set.
@@ -243,9 +233,8 @@ class Options(SearchOptions):
         if self.lift is not None:
             lift = parse_quantity(self.lift).length("--lift:")
             config = replace(config, motion=replace(config.motion, lift=lift))
-        if self.grasps is not None:
-            use: OwnUse = "first" if self.ours_too else "only"
-            grasps = replace(config.motion.grasps, own=use)
+        if self.grasps is not None and config.motion.grasps.own == "too":
+            grasps = replace(config.motion.grasps, own="only")
             config = replace(config, motion=replace(config.motion, grasps=grasps))
         if self.robust is None:
             return config
@@ -263,9 +252,8 @@ class Options(SearchOptions):
             return robot
         from momapos.planning.grasps import load_grasps
 
-        depth = self.grasps_depth
-        length = None if depth is None else parse_quantity(depth).length("--grasps-depth:")
-        found = load_grasps(self.grasps, scene, robot, task, frame=self.grasps_frame, depth=length)
+        path, _, frame = self.grasps.partition("@")
+        found = load_grasps(path, scene, robot, task, frame=frame or None)
         return robot.with_grasps(found)
 
 
