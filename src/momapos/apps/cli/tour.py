@@ -19,7 +19,7 @@ from .options import (
     Flag,
     ObjectArg,
     PlaceArg,
-    PosesArg,
+    PoseFileArg,
     SceneArg,
     Target,
     ValueArg,
@@ -147,7 +147,7 @@ def place_bring(
 
 def place_reach(
     scene: SceneArg,
-    poses: PosesArg,
+    poses: PoseFileArg,
     /,
     *,
     in_order: Flag = False,
