@@ -185,6 +185,7 @@ def test_an_arm_in_mjcf_moves_as_the_one_in_urdf(tmp_path: Path, files: dict[str
     assert_allclose(poses["flange"][:3, 3], (poses["arm_5"] @ [0.1, 0.0, 0.0, 1.0])[:3])
     assert [arm.joint(f"j{k}").effort for k in (0, 1, 2)] == [80.0, 10.0, np.inf]
     assert list(content.meshes) == ["r_meshes/arm_mesh0_plate.obj"]
+    assert not content.notes  # nothing is left out
 
 
 @pytest.mark.parametrize("bodies", [2, 0])

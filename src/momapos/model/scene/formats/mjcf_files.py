@@ -87,7 +87,7 @@ def read_mjcf(path: Path, root: Path, *, actuators: bool = False) -> Mjcf:
     flat = (_last(tree, "strippath") or "false") == "true"
     kept = _pruned(tree, dropped, path)
     if actuators:
-        _add_motors(tree, kept, path)
+        dropped["actuators"] -= _add_motors(tree, kept, path)
     meshes, files = _meshes(kept, path, root, meshdir, flat=flat)
     SubElement(kept, "compiler", boundmass="1e-6", boundinertia="1e-9")  # bodies may have none
     own = [
@@ -186,14 +186,15 @@ def _pruned(tree: Element, dropped: Counter[str], path: Path) -> Element:
     return kept
 
 
-def _add_motors(tree: Element, kept: Element, path: Path) -> None:
-    """Add the actuators of joints to the kept tree, with their defaults."""
+def _add_motors(tree: Element, kept: Element, path: Path) -> int:
+    """Add the actuators of joints to the kept tree; return their number."""
     section = SubElement(kept, "actuator")
     for motor in tree.iterfind("actuator/*"):
         if motor.tag in _MOTORS and motor.get("joint"):
             words = {key: value for key, value in motor.items() if key not in _UNUSED}
             _check_finite(motor, words, path)
             SubElement(section, motor.tag, words)
+    return len(section)
 
 
 def _section(section: Element, dropped: Counter[str], path: Path) -> Element:
