@@ -2,6 +2,7 @@
 
     python benchmarks/poses.py sets [--count 50] [--seed 0] [--out FILE]
     python benchmarks/poses.py sizes [--robot segway_ur5e]
+    python benchmarks/poses.py wall [--robot segway_ur5e] [--holes 245]
 
 A room has three to six boxes. Poses are drawn on their sides, 5 to 15 cm off, with the hand toward
 them. Exhaustive search tries all base poses of a lattice (20 cm, 30 deg) and those of the answer
@@ -302,5 +303,45 @@ def sizes(*, robot: str = "segway_ur5e", seed: int = 0) -> None:
         })  # fmt: skip
 
 
+def wall(*, robot: str = "segway_ur5e", holes: int = 245, radius: float = 3.0) -> None:
+    """Reach holes in a curved wall, evenly over 90 degrees of it and heights of 0.6 to 1.4 m.
+
+    Args:
+        robot: The robot.
+        holes: Number of holes.
+        radius: Radius of the wall [m].
+    """
+    machine, reach = arm(robot)
+    angles = np.radians(np.linspace(-50.0, 50.0, 21))
+    width = 2 * (radius + 0.1) * np.tan((angles[1] - angles[0]) / 2)
+    boxes = tuple(
+        SceneObject.box(
+            f"wall_{k}", (0.1, float(width), 1.8),
+            ((radius + 0.05) * np.cos(a), (radius + 0.05) * np.sin(a), 0.9), yaw=float(a),
+        )
+        for k, a in enumerate(angles.tolist())
+    )  # fmt: skip
+    corners = np.array([[-1, -5], [5, -5], [5, 5], [-1, 5]], float)
+    scene = Scene("wall", boxes, floor_polygon=corners, start=np.zeros(3))
+    rows = max(1, round(np.sqrt(holes * 0.8 / (radius * np.pi / 2))))
+    columns = -(-holes // rows)
+    poses = []
+    for k in range(holes):
+        a = np.radians(-45.0 + 90.0 * (k // rows) / max(columns - 1, 1))
+        z = 0.6 + 0.8 * (k % rows) / max(rows - 1, 1)
+        out = np.array([np.cos(a), np.sin(a), 0.0])
+        x, y, _ = (radius - 0.05) * out
+        i, j, m, w = _quaternion(_facing(machine, out))
+        axis = machine.approach_axis
+        axis_of = (float(axis[0]), float(axis[1]), float(axis[2]))
+        poses.append(ToolPose((x, y, z), (w, i, j, m), axis=axis_of, spin=np.pi))
+    began = time.process_time()
+    tour = plan_pose_stops(_query(scene, machine, tuple(poses), reach))
+    emit({
+        "holes": holes, "met": tour.done, "stops": max(tour.stops), "status": tour.status,
+        "drive": tour.driving, "seconds": time.process_time() - began,
+    })  # fmt: skip
+
+
 if __name__ == "__main__":
-    commands(__doc__, sets, sizes)
+    commands(__doc__, sets, sizes, wall)

@@ -21,6 +21,7 @@ from momapos.model.scene.pose_files import load_poses
 from momapos.model.scene.scene import Scene
 from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
+from momapos.model.trajectory import with_times
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.pose_targets import tool_poses_of
 from momapos.planning.keyword_forms import plan_reach
@@ -245,6 +246,25 @@ def test_the_command_writes_one_plan_for_one_stop_and_a_tour_for_several(tmp_pat
     assert answer["stops"] == 2
     assert all(report.valid for report in verify_tour(tmp_path / "tour.json").values())
     assert error_of(*command(0.0, out="x.json"), "--lift", "2cm").endswith("leave it out")
+
+
+def test_a_plan_for_poses_is_shown_and_exported_and_its_tool_is_there_in_physics(
+    robot: Robot, tmp_path: Path
+) -> None:
+    floor = np.array([[-2, -2], [2, -2], [2, 2], [-2, 2]], float)
+    box = SceneObject.box("box", (0.4, 0.4, 0.6), (1.4, 0.0, 0.3))
+    room = Scene("room", (box,), floor_polygon=floor, start=np.array([-0.2, 0.0, 0.0]))
+    scene = save_scene(room, tmp_path / "scene.json")
+    tour = plan_reach(scene, robot, [ToolPose((1.3, y, 0.9), EAST) for y in (-0.1, 0.1)])
+    plan = with_times(tour.steps[0].plan, robot)
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    output_of("view", str(path), "--static", str(tmp_path / "page.html"))
+    output_of("export", str(path), "--to", "csv", "--out", str(tmp_path / "table.csv"))
+    pytest.importorskip("mujoco")
+    words = output_of("run", str(path))
+    assert "fetch: reach 2 poses: done" in words
+    assert "reached" not in words
 
 
 def test_poses_of_other_people_are_met(robot: Robot, tmp_path: Path) -> None:

@@ -319,7 +319,9 @@ def summary(record: RunRecord) -> str:
         lines.append(f"  joint type  {record.kinds[-1]}")
     if record.true_task is not None:
         lines.append(f"  true part   {record.true_task.object}/{record.true_task.joint}")
-    return "\n".join(lines + _execution_lines(done))
+    facts = _execution_lines(done)
+    # Nothing is moved or held on the way to tool poses.
+    return "\n".join(lines + (facts[2:] if task.poses else facts))
 
 
 def _base_words(done: Execution) -> str:

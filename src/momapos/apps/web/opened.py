@@ -124,7 +124,7 @@ class TourStory:
         k = min(int(np.searchsorted(self._ends, seconds, side="right")), last)
         story, began = self.stories[k], float(self._ends[k]) - self.stories[k].duration
         moment, task = story.at(seconds - began), story.task
-        phase = f"task {k + 1} of {last + 1}, {task.verb} {task.object}: {moment.phase}"
+        phase = f"task {k + 1} of {last + 1}, {task.verb} {task.target}: {moment.phase}"
         room = ActiveRoom(self.scenes[k], task.object, task.joint)
         return replace(moment, phase=phase, room=room)
 
@@ -159,7 +159,9 @@ class Opened:
             task = self.run.true_task
         to = "" if task.to is None else quantity_text(task.to, slides=slides(self.scene, task))
         method = plan.method if plan.method in METHODS else METHODS[0]
-        return Question(task.verb, target_text(task), to, method, plan.seed, plan.start)
+        return Question(
+            task.verb, target_text(task), to, method, plan.seed, plan.start, task.poses
+        )  # fmt: skip
 
     def answer(self) -> PlacementResult | None:
         """Return the plan as an answer without a search; None for a run in another world.

@@ -30,7 +30,7 @@ from .opened import Opened, OpenedScan
 from .panel import Panel, Resender, how_far
 from .playback import DetailControl, values_at_end
 from .probe import Probe, ProbedPose
-from .question import Question, RobotArms, RobotLoader, ask, ask_at, targets
+from .question import VERBS, Question, RobotArms, RobotLoader, ask, ask_at, targets
 from .robot_view import RobotView, home_values, joint_values
 from .room_view import RoomView
 from .scan_view import COARSE, FINE, ScanView
@@ -313,7 +313,8 @@ class Page:
         question = opened.question
 
         def work(clock: Clock) -> None:
-            self.panel.verb.value = question.verb
+            if question.verb in VERBS:
+                self.panel.verb.value = question.verb
             self.panel.method.value, self.panel.seed.value = question.method, question.seed
             self._update(clock)
             self.panel.offer(self.panel.target, self.panel.target.options, question.target)

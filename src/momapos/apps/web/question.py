@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from momapos.core import Cache, Clock, Stopwatch, TaskError
-from momapos.model.records import ReachScorer, Task, Verb
+from momapos.model.records import ReachScorer, Task, ToolPose, Verb
 from momapos.model.robots import Robot, load_arms
 from momapos.model.scene import Scene
 from momapos.planning import (
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 METHODS: tuple[str, ...] = get_args(Method)
-VERBS: tuple[Verb, ...] = get_args(Verb)
+VERBS: tuple[Verb, ...] = tuple(verb for verb in get_args(Verb) if verb != "reach")
+"""What can be planned on the page; tool poses come from files."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class Question:
     seed: int = 0
     start: tuple[float, float, float] | None = None
     """Start pose x [m], y [m], yaw [rad]; None for the scene's, or a free place."""
+    poses: tuple[ToolPose, ...] = ()
+    """Tool poses of a plan from a file, which has no target."""
 
     def task(self, scene: Scene) -> Task:
         """Build the task in a room.
@@ -52,6 +55,8 @@ class Question:
         Raises:
             MomaposError: The room has no such object or joint, or the value is out of range.
         """
+        if self.poses:
+            return Task(self.verb, "", poses=self.poses)
         name, _, joint = self.target.partition("/")
         if self.verb in ("open", "close"):
             return make_task(scene, self.verb, name, joint or None, self.to.strip() or None)

@@ -123,7 +123,7 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
         ("checked", "no collision along the whole motion"),
         *tolerance_facts(plan),
     ]
-    title = f"{task.verb} {target_text(task)}{to} with {plan.robot_name}"
+    title = f"{task.verb} {task.target}{to} with {plan.robot_name}"
     return Card(STATUS[plan.status], TONE[plan.status], title, tuple(facts))
 
 
@@ -140,8 +140,8 @@ def tolerance_facts(plan: PlacementPlan) -> list[tuple[str, str]]:
 
 
 def target_text(task: Task) -> str:
-    """Return the target of a task as "object" or "object/joint"."""
-    return task.target
+    """Return the target of a task as "object" or "object/joint"; "" for tool poses."""
+    return "" if task.poses else task.target
 
 
 def run_card(record: RunRecord) -> Card:
@@ -164,7 +164,7 @@ def run_card(record: RunRecord) -> Card:
         ]
     return Card(
         f"{RUN_OUTCOMES[record.verdict]} in simulation", RUN_TONES[record.verdict],
-        f"{task.verb} {target_text(task)} with {record.robot}", tuple(facts), tuple(notes),
+        f"{task.verb} {task.target} with {record.robot}", tuple(facts), tuple(notes),
     )  # fmt: skip
 
 
@@ -174,10 +174,10 @@ def tour_card(plans: Sequence[PlacementPlan]) -> Card:
     facts = [("drive", f"{driven:.2f} m")]
     for number, plan in enumerate(plans, start=1):
         at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
-        facts.append((f"{number}.", f"{plan.task.verb} {target_text(plan.task)}{at}"))
+        facts.append((f"{number}.", f"{plan.task.verb} {plan.task.target}{at}"))
     picks = any(plan.task.verb == "pick" for plan in plans[:-1])
     notes = ("A picked object is drawn at its old place when the next task begins.",) * picks
-    tasks = [f"{plan.task.verb} {target_text(plan.task)}" for plan in plans]
+    tasks = [f"{plan.task.verb} {plan.task.target}" for plan in plans]
     more = [f"{len(tasks) - MAX_TITLES} more"] if len(tasks) > MAX_TITLES else []
     title = f"{', then '.join([*tasks[:MAX_TITLES], *more])} with {plans[0].robot_name}"
     return Card("Solved", "good", title, tuple(facts), notes)

@@ -9,8 +9,9 @@ straight.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -121,7 +122,8 @@ class PoseArm:
             poses: Indices of the poses.
             in_order: Whether their order is fixed.
         """
-        return _Sequencer(self, base, poses, self.states(base, poses), in_order).plan()
+        states = self.states(base, poses)
+        return _Sequencer.of(self, base, poses, states, in_order=in_order).plan()
 
 
 def free_hands(robot: Robot, world: CollisionWorld, targets: PoseTargets) -> Int[np.ndarray, " g"]:
@@ -153,96 +155,84 @@ class _Sequencer:
     arm: PoseArm
     base: Float[np.ndarray, "3"]
     poses: Int[np.ndarray, " p"]
-    states: list[Float[np.ndarray, "_ n"]]
+    q: Float[np.ndarray, "m n"]
+    """Arm states at the poses."""
+    owner: Int[np.ndarray, " m"]
+    """The pose of each state, as an index into the poses; ascending."""
     in_order: bool
-    _visits: dict[tuple[int, int], _Visit | None] = field(default_factory=dict)
+    _visits: dict[int, _Visit | None] = field(default_factory=dict)
+    """By state."""
     _legs: dict[tuple[bytes, bytes], Float[np.ndarray, "s n"] | None] = field(default_factory=dict)
     _free: dict[bool, StraightMotions] = field(default_factory=dict)
 
-    def plan(self) -> PoseSequence:
-        """Plan the motion; without arm states to which none leads, and at last without poses."""
-        tried = np.zeros(len(self.poses), int)
-        while True:
-            left = np.flatnonzero([len(one) > 0 for one in self.states])
-            if not len(left):
-                none = np.zeros(0, np.int64)
-                return PoseSequence(none, self.arm.robot.home[None], none)
-            order, chosen = self._ordered(left)
-            failed = self._unvisited(order, chosen)
-            if not len(failed):
-                found = self._joined(order, chosen)
-                if isinstance(found, PoseSequence):
-                    return found
-                failed = np.array([found])
-            for k in failed.tolist():
-                tried[k] += 1
-                self._ban(k, int(chosen[k]))
-                if tried[k] == RETRIES:
-                    self.states[k] = self.states[k][:0]
-
-    def _unvisited(
-        self, order: Int[np.ndarray, " p"], chosen: Int[np.ndarray, " p"]
-    ) -> Int[np.ndarray, " k"]:
-        """Return the poses to whose states the hand does not come, and straight neither."""
-        states = zip(order.tolist(), chosen[order].tolist(), strict=True)
-        return np.array([k for k, one in states if self._visit(k, one) is None], np.int64)
-
-    def _ban(self, k: int, state: int) -> None:
-        """Leave out a state of a pose."""
-        self._forget(k, state)
-        self.states[k] = np.delete(self.states[k], state, axis=0)
-
-    def _forget(self, k: int, state: int) -> None:
-        """Renumber the known visits of a pose that loses a state."""
-        own = {key: one for key, one in self._visits.items() if key[0] == k}
-        for key in own:
-            del self._visits[key]
-        for (_, index), one in own.items():
-            if index != state:
-                self._visits[k, index - (index > state)] = one
-
-    def _ordered(
-        self, left: Int[np.ndarray, " k"]
-    ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " p"]]:
-        """Return the order of the poses that are left, and the state of each pose."""
-        home, chain = self.arm.robot.home, self.arm.robot.chain
+    @classmethod
+    def of(
+        cls, arm: PoseArm, base: Float[np.ndarray, "3"], poses: Int[np.ndarray, " p"],
+        states: Sequence[Float[np.ndarray, "_ n"]], *, in_order: bool,
+    ) -> _Sequencer:  # fmt: skip
+        """Prepare the search with the states of each pose that are nearest to home."""
+        chain, most = arm.robot.chain, max(MIN_STATES, MAX_STATES // len(states))
         scale, turns = joint_scale(chain), full_turns(chain)
-        states = [self.states[k] for k in left.tolist()]
-        most = max(MIN_STATES, MAX_STATES // len(states))
         kept = [
-            np.argsort(_steps(home[None], one, scale, turns)[0], kind="stable")[:most]
+            one[
+                np.argsort(_steps(arm.robot.home[None], one, scale, turns)[0], kind="stable")[:most]
+            ]
             for one in states
         ]
-        q = np.concatenate([one[rows] for one, rows in zip(states, kept, strict=True)])
-        owner = np.repeat(np.arange(len(kept)), [len(rows) for rows in kept])
-        index = np.concatenate(kept)
-        first = _steps(home[None], q, scale, turns)[0]
-        between = _steps(q, q, scale, turns)
-        starts = np.searchsorted(owner, np.arange(len(kept) + 1))
-        if self.in_order:
-            order = np.arange(len(kept))
-        else:
-            order = _nearest(first, between, owner, len(kept))
+        owner = np.repeat(np.arange(len(kept)), [len(one) for one in kept])
+        return cls(arm, base, poses, np.concatenate(kept), owner, in_order)
+
+    @cached_property
+    def _lengths(self) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"]]:
+        """Steps from home to each state, and between the states."""
+        chain = self.arm.robot.chain
+        scale, turns = joint_scale(chain), full_turns(chain)
+        first = _steps(self.arm.robot.home[None], self.q, scale, turns)[0]
+        return first, _steps(self.q, self.q, scale, turns)
+
+    def plan(self) -> PoseSequence:
+        """Plan the motion; without arm states to which none leads, and at last without poses."""
+        tried, usable = np.zeros(len(self.poses), int), np.ones(len(self.q), bool)
+        while usable.any():
+            order = self._ordered(np.flatnonzero(usable))
+            failed = [state for state in order.tolist() if self._visit(state) is None]
+            if not failed:
+                found = self._joined(order)
+                if isinstance(found, PoseSequence):
+                    return found
+                failed = [found]
+            for state in failed:
+                k = self.owner[state]
+                usable[state] = False
+                tried[k] += 1
+                if tried[k] == RETRIES:
+                    usable[self.owner == k] = False
+        none = np.zeros(0, np.int64)
+        return PoseSequence(none, self.arm.robot.home[None], none)
+
+    def _ordered(self, usable: Int[np.ndarray, " u"]) -> Int[np.ndarray, " k"]:
+        """Return one state of each pose that has some, in the order of the poses."""
+        left, owner = np.unique(self.owner[usable], return_inverse=True)
+        first, between = self._lengths[0][usable], self._lengths[1][np.ix_(usable, usable)]
+        starts = np.searchsorted(owner, np.arange(len(left) + 1))
+        order = np.arange(len(left))
+        if not self.in_order:
+            order = _nearest(first, between, owner, len(left))
         rows = _best_states(order, first, between, starts)
         for _ in range(0 if self.in_order else ROUNDS):
-            D = between[np.ix_(rows, rows)]
-            ends = first[rows]
-            if len(order) <= len(kept) and len(kept) < 2:
-                break
-            better = improved_order(order, ends, D, ends)
+            D, ends = between[np.ix_(rows, rows)], first[rows]
+            better = improved_order(order, ends, D, ends) if len(left) > 1 else order
             if path_length(better, ends, D, ends) >= path_length(order, ends, D, ends) - 1e-9:
                 break
             order = better
             rows = _best_states(order, first, between, starts)
-        chosen = np.full(len(self.states), -1)
-        chosen[left] = index[rows]
-        return left[order], chosen
+        return usable[rows[order]]
 
-    def _visit(self, k: int, state: int) -> _Visit | None:
-        key = k, state
-        if key not in self._visits:
-            self._visits[key] = self._new_visit(int(self.poses[k]), self.states[k][state])
-        return self._visits[key]
+    def _visit(self, state: int) -> _Visit | None:
+        """Return how the hand comes to a state and goes; None if it does not."""
+        if state not in self._visits:
+            self._visits[state] = self._new_visit(int(self.poses[self.owner[state]]), self.q[state])
+        return self._visits[state]
 
     def _new_visit(self, pose: int, q: Float[np.ndarray, " n"]) -> _Visit | None:
         """Return how the hand comes to a pose and goes: at once, or straight."""
@@ -276,32 +266,30 @@ class _Sequencer:
             )  # fmt: skip
         return self._free[key]
 
-    def _joined(
-        self, order: Int[np.ndarray, " p"], chosen: Int[np.ndarray, " p"]
-    ) -> PoseSequence | int:
-        """Return the whole motion, or the pose to which no free motion leads."""
+    def _joined(self, order: Int[np.ndarray, " k"]) -> PoseSequence | int:
+        """Return the whole motion through states, or the one to which no free motion leads."""
         robot, chain = self.arm.robot, self.arm.robot.chain
         turns = full_turns(chain)
         parts, at, count = [robot.home[None]], [], 1
         now = robot.home
-        for k in order.tolist():
+        for state in order.tolist():
             look()
-            visit = self._visit(k, int(chosen[k]))
+            visit = self._visit(state)
             assert visit is not None
             path = _near(visit.path, now, turns, chain.lower, chain.upper)
             leg = self._leg(now, path[-1], by_home=True)
             if leg is None:
-                return int(k)
-            there = [leg[1:], path[::-1][1:], path[1:]]
-            at.append(count + len(leg) - 1 + len(path) - 1 - 1)
-            parts += there
-            count += sum(map(len, there))
+                return int(state)
+            parts += [leg[1:], path[::-1][1:], path[1:]]
+            at.append(count + len(leg) + len(path) - 3)
+            count += len(leg) + 2 * len(path) - 3
             now = path[-1]
         home = self._leg(now, robot.home)
         if home is None:
             return int(order[-1])
         parts.append(home[1:])
-        return PoseSequence(self.poses[order], np.concatenate(parts), np.array(at))
+        reached = self.poses[self.owner[order]]
+        return PoseSequence(reached, np.concatenate(parts), np.array(at))
 
     def _leg(
         self,
