@@ -119,11 +119,27 @@ def test_a_link_with_damaged_faces_is_its_hull(tmp_path: Path) -> None:
     assert len(Articulated(record).hulls["body"]) == 1
 
 
-def test_a_link_with_very_many_triangles_is_its_hull(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", ["cage", "base with a mast", "forearm with an offset wrist"])
+def test_pieces_of_a_coarser_mesh_contain_the_finer_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    monkeypatch.setattr(articulated, "MAX_MEASURED", 12 * len(LINKS["cage"][0]) - 1)
-    assert len(robot_of(tmp_path, LINKS["cage"][0]).hulls["body"]) == 1
+    """A mesh of 12,288 triangles per box, cut as one with 2,000 in all."""
+    boxes, free = LINKS[name]
+    monkeypatch.setattr(articulated, "LINK_CUT", replace(LINK_CUT, max_detail=2000))
+    fine = given.triangles_of(boxes)
+    for _ in range(5):
+        a, b, c = fine.transpose(1, 0, 2)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        parts = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        fine = np.concatenate([np.stack(part, 1) for part in parts])
+    monkeypatch.setattr(given, "triangles_of", lambda _: fine)
+    hulls = robot_of(tmp_path, boxes).hulls["body"]
+    assert 1 < len(hulls) <= LINK_CUT.max_pieces
+    points = fine.mean(1)
+    deep = np.max([convex_of(hull, np.eye(4)).depth(points) for hull in hulls], axis=0)
+    assert deep.min() > -2e-5
+    middle = given.points_in(free, 300, np.random.default_rng(0))
+    assert inside(hulls, middle).mean() < 0.2
 
 
 def test_planner_and_exact_check_use_the_same_pieces_by_their_names(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ are cut across another axis. The mesh may be open, duplicated, or inside out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -181,6 +182,9 @@ CUT_OFFSET = 2e-4
 """Distance of the two cuts on both sides of a flat face [m]."""
 MAX_REMAINING = 0.98
 """A cut is kept if at most this share of the free space, or of the hollow volume, remains [-]."""
+MAX_EDGE = 0.02
+"""Longest edge of a surface that pieces of a coarser one are made to contain, as a share of its
+size [-]."""
 MAX_COMPARED = 8
 """Number of pieces of a slab that a new piece is compared with [-]."""
 
@@ -210,6 +214,8 @@ class CutConfig:
     [-]."""
     max_added: float = 0.0
     """Two of these pieces are merged if that adds at most this share of the hull's volume [-]."""
+    max_detail: int = 0
+    """A mesh with more triangles is cut as a coarser one with this many; 0: as it is [-]."""
 
 
 FINE = CutConfig()
@@ -286,6 +292,68 @@ def free_volume(triangles: Float[np.ndarray, "t 3 3"]) -> float:
     surface = close_rims(triangles) @ fit_box(triangles.reshape(-1, 3))[1]
     free = _free_cells(surface, surface, FINE).inside(_hull_planes(surface), MIN_DEPTH)
     return float(free.volume.sum())
+
+
+def decimated(triangles: Float[np.ndarray, "t 3 3"], most: int) -> Float[np.ndarray, "u 3 3"]:
+    """Return a coarser surface: the vertices in a cell of a grid become one, at their mean.
+
+    Args:
+        triangles: The surface [m].
+        most: Number of triangles of the result [-].
+    """
+    points = triangles.reshape(-1, 3)
+    low = points.min(0)
+    # Each square of a grid on the surface is two triangles.
+    cell = float(np.sqrt(double_areas(triangles).sum() / most))
+    while True:
+        index = np.floor((points - low) / cell).astype(np.int64)
+        _, group = np.unique(index, axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        count = np.bincount(group)
+        middle = np.stack([np.bincount(group, points[:, k]) / count for k in range(3)], -1)
+        corners = group.reshape(-1, 3)
+        whole = (corners != np.roll(corners, 1, axis=1)).all(1)
+        _, first = np.unique(np.sort(corners[whole], axis=1), axis=0, return_index=True)
+        if len(first) <= most:
+            return np.asarray(middle[corners[whole][first]])
+        cell *= 1.2
+
+
+def containing(pieces: Sequence[Hull], triangles: Float[np.ndarray, "t 3 3"]) -> tuple[Hull, ...]:
+    """Return convex pieces that contain a surface: each grows by the triangles nearest to it.
+
+    Triangles with edges longer than `MAX_EDGE` are divided, so that pieces grow by little.
+    """
+    most = MAX_EDGE * float(np.linalg.norm(np.ptp(triangles, axis=(0, 1))))
+    while len(rows := np.flatnonzero(_longest(triangles)[1] > most)):
+        turn = (_longest(triangles[rows])[0][:, None] + np.arange(3)) % 3
+        p, q, r = np.take_along_axis(triangles[rows], turn[..., None], 1).transpose(1, 0, 2)
+        middle = (p + q) / 2
+        halves = np.stack([p, middle, r], 1), np.stack([middle, q, r], 1)
+        triangles = np.concatenate([np.delete(triangles, rows, 0), *halves])
+    points, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    corners = corners.reshape(-1, 3)
+    nearest, least = np.zeros(len(corners), np.int64), np.full(len(corners), np.inf)
+    for k, piece in enumerate(pieces):
+        planes = _hull_planes(piece.vertices[piece.faces]).planes
+        blocks = np.array_split(points, 1 + len(points) * len(planes) // MAX_DISTANCES)
+        beyond = np.concatenate([(b @ planes[:, :3].T + planes[:, 3]).max(1) for b in blocks])
+        worst = beyond[corners].max(1)
+        nearest, least = np.where(worst < least, k, nearest), np.minimum(worst, least)
+    grown = []
+    for k, piece in enumerate(pieces):
+        own = triangles[(nearest == k) & (least > _WELD)].reshape(-1, 3)
+        around = np.concatenate([piece.vertices, own])
+        grown.append(hull_around(around, piece.name) if len(own) else piece)
+    return tuple(grown)
+
+
+def _longest(
+    triangles: Float[np.ndarray, "t 3 3"],
+) -> tuple[Int[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+    """Return the first corner of each triangle's longest edge, and its length [m]."""
+    length = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    return length.argmax(1), length.max(1)
 
 
 def convex_pieces(
