@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from tests.urdf_parts import LIMIT, box, dual_armed, joint, link, mobile_manipulator
 
+from momapos.apps.cli.main import main
 from momapos.model.collision.self_collision import contacts
 from momapos.model.collision.spheres import Spheres
 from momapos.model.kinematics.chain import Chain
@@ -264,3 +265,60 @@ def test_further_candidates_for_a_home_are_elsewhere(tmp_path: Path) -> None:
     assert len(tools) == 3
     apart = np.linalg.norm(tools[:, None] - tools[None], axis=-1)[np.triu_indices(3, 1)]
     assert (apart > 0.1).all()
+
+
+def test_arms_that_are_mirror_images_rest_in_mirror_images(tmp_path: Path) -> None:
+    text = dual_armed().replace('xyz="0.15 0.5 0.5"', 'xyz="0.15 -0.2 0.5"')
+    text = text.replace('xyz="0.15 0 0.5"', 'xyz="0.15 0.2 0.5"')
+    robots = load_arms(written(tmp_path, text))
+    tools = [
+        (robot.model.link_poses(dict(zip(robot.arm_joints, robot.home, strict=True))), robot)
+        for robot in robots
+    ]
+    one, other = (np.linalg.inv(T[r.base_link]) @ T[r.tool_link] for T, r in tools)
+    np.testing.assert_allclose(one[:3, 3], other[:3, 3] * [1, -1, 1], atol=1e-6)
+    assert all(map(free_at_every_height, robots))
+
+
+def test_a_torso_that_turns_stays_upright(tmp_path: Path) -> None:
+    """Two arms on a torso that leans forward about a level axis."""
+    text = close_arms(0.5).replace(
+        '<joint name="lift" type="prismatic">', '<joint name="lift" type="revolute">'
+    )
+    begin = text.index('<joint name="lift"')
+    end = text.index("</joint>", begin)
+    lift = re.sub(r'<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>', text[begin:end])
+    lift = re.sub(r'lower="0" upper="0.3"', 'lower="-0.3" upper="0.3"', lift)
+    robots = load_arms(written(tmp_path, text[:begin] + lift + text[end:]))
+    assert all(robot.arm_joints[0] == "lift" for robot in robots)
+    assert all(abs(robot.home[0]) < 0.05 for robot in robots)
+
+
+def test_a_given_home_is_taken_and_tested(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(upright_arm())
+    names = load_robot(write_robot(path, tmp_path / "guess.toml")[0]).arm_joints
+    words = [f"--home={names[1]}=0.7", f"--home={names[2]}=-0.4"]
+    assert main(["robot", "check", str(path), *words]) == 0
+    home = load_robot(path.with_suffix(".toml")).home
+    np.testing.assert_array_equal(home[:3], [0.0, 0.7, -0.4])
+    assert "home: [0, 0.7, -0.4" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [("elbow=1", "no joint of an arm 'elbow'"), ("{}=9", "is beyond its limits"),
+     ("{}=x", "is not a number"), ("{}", "is not NAME=VALUE")],
+)  # fmt: skip
+def test_a_given_home_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], word: str, reason: str
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(upright_arm())
+    name = re.search(r'<joint name="(\w+)" type="revolute"', path.read_text())[1]
+    assert main(["robot", "check", str(path), f"--home={word.format(name)}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert reason in line
+    assert not path.with_suffix(".toml").exists()

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     PartsArg = tuple[str, ...]
     PosesArg = tuple[str, ...]
     LinksArg = tuple[str, ...]
+    HomeArg = tuple[str, ...]
     ObjectsArg = tuple[str, ...]
     SettingsArg = tuple[str, ...]
 else:  # tyro takes the members of a plain tuple for texts, and imports typeguard for any other
@@ -70,6 +71,7 @@ else:  # tyro takes the members of a plain tuple for texts, and imports typeguar
     PartsArg = Annotated[Several, arg(metavar="[NAME=]FILE")]
     PosesArg = Annotated[Several, arg(metavar="[PART=]X,Y,Z[,R,P,Y]")]
     LinksArg = Annotated[Several, arg(metavar="[PART=][OTHER/]LINK")]
+    HomeArg = Annotated[Several, arg(metavar="JOINT=VALUE")]
     ObjectsArg = Annotated[Several, arg(metavar="OBJECT")]
     SettingsArg = Annotated[Several, arg(metavar="FIELD=VALUE")]
 MAX_SEED = 2**63 - 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+import math
 import shlex
 import shutil
 import tomllib
@@ -18,7 +19,7 @@ from momapos.model.robots import LIBRARY, MAP_JOINTS, find_named_robot, library_
 
 from .bounds import within_bounds
 from .console import progress
-from .options import BoxArg, Flag, OptionalFile, PackagesArg, RobotArg, XacroArg
+from .options import BoxArg, Flag, HomeArg, OptionalFile, PackagesArg, RobotArg, XacroArg
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -97,6 +98,7 @@ def robot_check(
     package: PackagesArg = (),
     xacro_arg: XacroArg = (),
     visual_hulls: Flag = False,
+    home: HomeArg = (),
     plot: OptionalFile = None,
     json: Flag = False,
 ) -> int:
@@ -112,6 +114,8 @@ def robot_check(
         package: Folder of a ROS package that the file names, as NAME=DIR.
         xacro_arg: An argument of a xacro file, as NAME=VALUE.
         visual_hulls: Let the hulls of what is drawn stand in for bodies without collision shapes.
+        home: The value of an arm's joint at home [m], [rad], instead of a guess; the arm's other
+            joints rest at zero.
         plot: Draw the robot at home, from above and from its right (PNG, SVG or PDF).
         json: Print one JSON object instead of text.
     """
@@ -119,11 +123,12 @@ def robot_check(
     check_figure_path(plot)
     packages = package_folders(package)
     args, box = pairs(xacro_arg, "--xacro-arg", empty=True), _box(on_box)
+    homes = {name: _value(name, word) for name, word in pairs(home, "--home").items()}
     derives = file.suffix.lower() in DERIVED_FROM
     if not derives:
-        if (out, on_box, package, xacro_arg, visual_hulls) != (None, None, (), (), False):
+        if (out, on_box, package, xacro_arg, visual_hulls, home) != (None, None, (), (), False, ()):
             raise RobotError(
-                "--out, --on-box, --package, --xacro-arg and --visual-hulls need a URDF; "
+                "--out, --on-box, --package, --xacro-arg, --visual-hulls and --home need a URDF; "
                 f"{file} is a robot file"
             )
         find_named_robot(str(file))
@@ -132,7 +137,7 @@ def robot_check(
     from momapos.workflows import is_mjcf, read_description
 
     mount = None if box is None else Mount((0.0, 0.0, box[2]), box=box)
-    source = RobotSource(file, mount, packages, visual_hulls=visual_hulls)
+    source = RobotSource(file, mount, packages, visual_hulls=visual_hulls, home=homes)
     robot = out or file.with_suffix(".toml")
 
     def described() -> Expanded | None:
@@ -277,6 +282,17 @@ def pairs(words: Sequence[str], option: str, *, empty: bool = False) -> dict[str
             raise RobotError(f"{option} {word!r:.80} is not NAME=VALUE")
         pairs[name] = value
     return pairs
+
+
+def _value(joint: str, word: str) -> float:
+    """Parse the value of a joint [m] or [rad]."""
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RobotError(f"--home {joint}={word:.80} is not a number, in m or rad")
+    return value
 
 
 def _box(text: str | None) -> tuple[float, float, float] | None:

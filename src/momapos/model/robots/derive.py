@@ -13,10 +13,11 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Cache, RobotError, UrdfError, resolved, write_atomic
+from momapos.core import Cache, RobotError, UrdfError, resolved, unknown_name, write_atomic
 from momapos.model.urdf import Articulated, Urdf
 
 from .amended_urdf import BOX, AddedFrame, Amendments, Mount
@@ -46,6 +47,9 @@ from .xacro import (
     with_relative_meshes,
 )
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
 MAX_LINKS = 500
 ReportProgress = Callable[[float, str], None]
 """Receives the completed share of the work, and the current step."""
@@ -66,6 +70,8 @@ class RobotSource:
     """Whether bodies without collision shapes get the hulls of what is drawn."""
     near: Path | None = None
     """File whose folder is searched for an SRDF; None for the URDF."""
+    home: Mapping[str, float] = field(default_factory=dict)
+    """Values of joints of arms whose homes are given [rad] or [m]; their others rest at zero."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +158,7 @@ def derive_robot(
     given, srdf = srdf, true_claims(model, base_link, waiting, srdf, seed, notes)
     homes = find_homes(
         model, base_link, waiting, footprint, srdf, seed, notes,
-        lambda share, what: report(0.2 + 0.8 * share, what),
+        lambda share, what: report(0.2 + 0.8 * share, what), _given_homes(model, waiting, source),
     )  # fmt: skip
     model, pairs = homes.model, homes.pairs
     arms = {
@@ -208,6 +214,30 @@ def _chains(
     if source.mount is None:
         refuse_without_base(model, anchor, [chain.joints[0] for chain in chains], gear)
     return [replace(chain, joints=lift_as_base(model, chain.joints, notes)) for chain in chains]
+
+
+def _given_homes(
+    model: Articulated, arms: Sequence[ArmToRest], source: RobotSource
+) -> dict[str, Float[np.ndarray, " n"]]:
+    """Return the given homes by arm.
+
+    Raises:
+        RobotError: A joint is in no arm, or beyond its limits.
+    """
+    every = [joint for arm in arms for joint in arm.text.joints]
+    for name, value in source.home.items():
+        if name not in every:
+            raise unknown_name("joint of an arm", name, every, source.urdf.name)
+        joint = model.joint(name)
+        if not joint.lower <= value <= joint.upper:
+            raise RobotError(
+                f"--home {name}={value:g} is beyond its limits, {joint.lower:g} to {joint.upper:g}"
+            )
+    return {
+        arm.name: np.array([source.home.get(name, model.rest[name]) for name in arm.text.joints])
+        for arm in arms
+        if source.home.keys() & set(arm.text.joints)
+    }
 
 
 def _resting_fingers(model: Articulated, arms: dict[str, _Arm]) -> dict[str, float]:

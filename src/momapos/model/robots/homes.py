@@ -11,6 +11,7 @@ import numpy as np
 
 from momapos.core import RobotError
 from momapos.core.compiled import F1, F2, entry
+from momapos.core.geometry import invert
 from momapos.model.collision import (
     Spheres,
     build_spheres,
@@ -58,6 +59,11 @@ REACH_COST = 0.2
 footprint the one near the middle is chosen."""
 ANGLE_COST = 0.05
 """Cost of the most rotated joint of a home state, as protrusion per angle [m/rad]."""
+UPRIGHT_COST = 1.0
+"""Cost of the most turned joint that arms share, as protrusion per angle [m/rad]: with 0.3, a torso
+leaned by 0.15 rad for arms that are hardly more compact there."""
+MAX_MIRROR_ERROR = 0.02
+"""Largest distance of joints of two arms from mirror images [m]."""
 LIMIT_COST, LIMIT_DISTANCE = 0.1, 0.15
 """Cost of a home state at a joint limit, as protrusion [m], and the distance over which it fades
 [rad]."""
@@ -197,6 +203,14 @@ def resting_states(
         q, cost = q[far], cost[far]
 
 
+def resting_state(
+    chain: Chain, spheres: Spheres, body: RobotBody, q: Float[np.ndarray, " n"],
+    torso: Sequence[int],
+) -> RestingState:  # fmt: skip
+    """Return a state with what is known of it; see `resting_states` for the arguments."""
+    return _Ranking(chain, spheres, body, torso, None).state(q)[0]
+
+
 @dataclass(frozen=True, eq=False)
 class _Ranking:
     """Order of the states of an arm."""
@@ -218,6 +232,8 @@ class _Ranking:
         above = np.maximum(top - self.body.height, self._rise(q))
         cost = np.maximum(protrusion, 0.0) + HEIGHT_COST * above + REACH_COST * reach
         cost += ANGLE_COST * wound + LIMIT_COST * _at_limits(self.chain, q)
+        turning = [k for k in self.torso if not self.chain.prismatic[k]]
+        cost += UPRIGHT_COST * abs(q[:, turning]).max(1, initial=0.0)
         cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * blocked_share(
             self.chain, self.spheres, q, self.torso
         )
@@ -471,6 +487,7 @@ def find_homes(
     seed: int,
     notes: list[str],
     report: Callable[[float, str], None],
+    given: Mapping[str, Float[np.ndarray, " n"]],
 ) -> Homes:
     """Find a home for every arm, so that all are compact, free of contact, and let a torso move.
 
@@ -488,8 +505,9 @@ def find_homes(
         seed: Seed of the sampled states.
         notes: Receives the assumptions.
         report: Receives the completed share of the work, and the arm.
+        given: The homes of arms that have one.
     """
-    search = _Search(model, base_link, arms, footprint, srdf, seed)
+    search = _Search(model, base_link, arms, footprint, srdf, seed, given)
     pairs = search.pairs(report)
     found = search.rest((), pairs)
     held = dict(model.held)
@@ -549,6 +567,7 @@ class _Search:
     footprint: Float[np.ndarray, "k 2"]
     srdf: Srdf
     seed: int
+    given: Mapping[str, Float[np.ndarray, " n"]]
 
     def pairs(self, report: Callable[[float, str], None]) -> Pairs:
         """Return the pairs of links in contact by design.
@@ -624,22 +643,68 @@ class _Search:
         mine = self._own_links(arm)
         theirs = {link for other in placed for link in self._own_links(other)}
         crossing = _of_pairs(spheres, lambda a, b: bool(mine & {a, b} and theirs & {a, b}))
+        torso, body = self._torso(arm, chain), replace(self._body, loads=loads)
+        if arm.name in self.given:
+            state = resting_state(chain, spheres, body, self.given[arm.name], torso)
+            yield _Home(state.q, state, _gap(chain, spheres, state.q, torso))
+            return
+        for other, home in zip(placed, before, strict=True):
+            image = self._mirrored(arm, other, home.q)
+            if image is not None and not blocked_share(chain, spheres, image[None], torso)[0]:
+                yield _Home(image, resting_state(chain, spheres, body, image, torso))
         q = self._samples(arm, chain, held)
-        torso = self._torso(arm, chain)
         found = resting_states(
-            chain, spheres, replace(self._body, loads=loads), q,
+            chain, spheres, replace(body, footprint=self._own_side(arm)), q,
             torso=torso,
             held=[k for k, name in enumerate(chain.names) if name in held],
             crossing=crossing if placed else None,
             count=CANDIDATES if len(self.arms) > 1 else 1,
             rng=np.random.default_rng(self.seed),
         )  # fmt: skip
-        state = None
-        for state in found:
+        none = True
+        for one in found:
+            none, state = False, resting_state(chain, spheres, body, one.q, torso)
             gap = _gap(chain, spheres, state.q, torso) if state.blocked else GAPS[0]
             yield _Home(state.q, state, gap)
-        if state is None:
+        if none:
             yield _Home(q[0], None)
+
+    def _own_side(self, arm: ArmToRest) -> Float[np.ndarray, "k 2"]:
+        """Return the half of the footprint on the side of an arm that has a mirror image."""
+        others = [other for other in self.arms if other is not arm]
+        still = np.zeros(len(arm.text.joints))
+        if not any(self._mirrored(arm, other, still) is not None for other in others):
+            return self.footprint
+        T = self.model.rest_poses
+        first = next(j for j in arm.text.joints if all(j not in o.text.joints for o in others))
+        y = (invert(T[self.base_link]) @ T[self.model.joint(first).child])[1, 3]
+        here, there = self.footprint, np.roll(self.footprint, -1, axis=0)
+        inside = here[:, 1] * y >= 0.0
+        crossing = here[:, 1] * there[:, 1] < 0.0
+        t = (here[:, 1] / np.where(crossing, here[:, 1] - there[:, 1], 1.0))[:, None]
+        cut = np.stack([here, here + t * (there - here)], axis=1).reshape(-1, 2)
+        return np.asarray(cut[np.stack([inside, crossing], axis=1).reshape(-1)])
+
+    def _mirrored(
+        self, arm: ArmToRest, other: ArmToRest, q: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"] | None:
+        """Return the mirror image of another arm's state; None if the arms are none."""
+        if len(arm.text.joints) != len(other.text.joints):
+            return None
+        model = self.model.changed(held=dict.fromkeys((*arm.text.joints, *other.text.joints), 0.0))
+        T_base_root, image = invert(model.rest_poses[self.base_link]), np.zeros_like(q)
+        across = np.array([1.0, -1.0, 1.0])
+        for k, names in enumerate(zip(arm.text.joints, other.text.joints, strict=True)):
+            mine, theirs = map(self.model.joint, names)
+            T, T_other = (T_base_root @ model.rest_poses[joint.child] for joint in (mine, theirs))
+            same = float((T[:3, :3] @ mine.axis) @ (across * (T_other[:3, :3] @ theirs.axis)))
+            away = float(np.linalg.norm(T[:3, 3] - across * T_other[:3, 3]))
+            sign = 1.0 if mine.kind == "prismatic" else -1.0
+            image[k] = q[k] if mine is theirs else sign * round(same) * q[k]
+            inside = mine.lower <= image[k] <= mine.upper
+            if mine is not theirs and (abs(same) < 0.99 or away > MAX_MIRROR_ERROR or not inside):
+                return None
+        return image
 
     def _torso(self, arm: ArmToRest, chain: Chain) -> list[int]:
         """Return the joints that arms share, and vertical slides below the first turn."""

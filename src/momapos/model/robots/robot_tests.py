@@ -23,6 +23,7 @@ from .base_guess import (
 from .fingers import TIP_LENGTH
 from .gripper_guess import points_of
 from .hand_openings import finger_links, widest_stroke
+from .homes import blocked_share
 from .joint_tree import find_anchor
 from .load_limits import (
     crossing_shares,
@@ -103,6 +104,15 @@ def _home(robot: Robot) -> RobotTest:
             "the arm is free of contact, but nearer to the robot or the floor than planning allows"
         )
         return RobotTest("home", robot.arm, False, words, f"change home in {file}")
+    shared = [k for k, name in enumerate(robot.chain.names) if name in robot.other_arms]
+    share = float(blocked_share(robot.chain, robot.spheres, q, shared)[0])
+    if share:
+        names = ", ".join(robot.chain.names[k] for k in shared)
+        words = (
+            f"free of contact, but nearer to the robot than planning allows at {100 * share:.0f} % "
+            f"of the values of {names}, which other arms move, too"
+        )
+        return RobotTest("home", robot.arm, None, words, f"change home in {file}, or give --home")
     return RobotTest("home", robot.arm, True, "free of contact")
 
 

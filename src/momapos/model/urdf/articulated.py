@@ -27,6 +27,7 @@ from .convex_pieces import (
     decimated,
     free_share,
     free_volume,
+    pieces_of,
     triangles_of,
 )
 from .hulls import STRIPS, Boxes, Hull, cover_shape, fit_box, hull_around, hull_of, slab
