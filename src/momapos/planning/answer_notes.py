@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core.geometry import invert
-from momapos.model.records import Hold, Motion, PlacementPlan
+from momapos.model.records import Hold, JointResistance, Motion, PlacementPlan
 from momapos.model.scene import (
     ResistanceConfig,
     SceneObject,
@@ -16,7 +16,9 @@ from momapos.model.scene import (
     is_ajar,
     latch_guess,
     loose_joints,
+    release_problem,
     resistance_along,
+    scene_after,
     stays_in_place,
 )
 from momapos.planning.grasps import GraspConfig, nearest_shifted, own_poses, shifted_along
@@ -52,7 +54,7 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
         _hand_note(prepared), _own_note(prepared, plan.motion), _contents_note(plan, prepared),
         _floor_note(plan, prepared),
         _file_note(prepared), _latch_note(prepared), _loose_note(prepared),
-        _spring_note(plan, prepared), outside,
+        _spring_note(plan, prepared), _release_note(prepared), _press_note(prepared), outside,
     )  # fmt: skip
     return tuple(note for note in notes if note)
 
@@ -60,7 +62,7 @@ def notes_on(plan: PlacementPlan, prepared: PreparedTask) -> tuple[str, ...]:
 def _hand_note(prepared: PreparedTask) -> str:
     """Return how far the hand opens, if not fully."""
     robot = prepared.robot
-    if robot.fully_open is None:
+    if robot.fully_open is None or prepared.task.verb == "press":
         return ""
     when = "as it lets go" if prepared.task.verb == "place" else "before the robot drives"
     return (
@@ -163,6 +165,30 @@ def _loose_note(prepared: PreparedTask) -> str:
         f"{loose} on the part counts as held in place; if it swings or slides by itself, what it "
         "hits is not checked"
     )
+
+
+def _release_note(prepared: PreparedTask) -> str:
+    """Return why the hand must keep holding the part at the end, if it must."""
+    task, motion = prepared.task, prepared.motion
+    if task.joint is None or task.to is None or motion.release_step is not None:
+        return ""
+    item = prepared.scene.object(task.object)
+    if not item.resistance.get(task.joint, JointResistance()).spring:
+        return ""
+    problem = release_problem(item, task.joint, task.to, ASSUMED)
+    return problem and f"the hand must keep holding the part: {problem}"
+
+
+def _press_note(prepared: PreparedTask) -> str:
+    """Return whether a pressed part springs back, and which model lacks a hole for it."""
+    task, scene = prepared.task, prepared.scene
+    if task.verb != "press":
+        return ""
+    name, back = f"{task.object}/{task.joint}", scene_after(scene, task) is scene
+    notes = [] if back else [f"{name} counts as staying pressed; state its 'spring' if it returns"]
+    sunk = " and ".join(prepared.verifier.part_sweep.sunk_into)
+    notes += [f"it sinks into {sunk}, whose model has no hole for it"] if sunk else []
+    return "; ".join(notes)
 
 
 def _spring_note(plan: PlacementPlan, prepared: PreparedTask) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from momapos.core import SceneError
 from momapos.core.geometry import any_overlap, place_points
 from momapos.model.records import ArmPathResult, Attempt, Motion, PoseOutcome, PoseStatus
-from momapos.model.scene import Scene, area_name
+from momapos.model.scene import Scene, area_name, scene_after
 from momapos.planning.navigation import (
     BasePath,
     CostMap,
@@ -330,10 +330,7 @@ class OnwardPaths:
 
     @cached_property
     def _after(self) -> Scene:
-        task = self.drives.query.task
-        assert task.joint is not None
-        assert task.to is not None
-        return self.drives.query.scene.with_joint(task.object, task.joint, task.to)
+        return scene_after(self.drives.query.scene, self.drives.query.task)
 
     @cached_property
     def _map_after(self) -> NavigationMap:

@@ -25,7 +25,7 @@ from momapos.core import (
     whole_number,
 )
 from momapos.model.records import ANYWHERE, BaseRegion, PoseOutcome, ReachScorer, Task
-from momapos.model.robots import Robot
+from momapos.model.robots import Robot, with_closed_hand
 from momapos.model.scene import Scene
 from momapos.planning.grasps import GraspFilter
 from momapos.planning.navigation import (
@@ -134,6 +134,8 @@ class PlacementQuery:
         if self.task.joint is not None:
             loaded = self.scene.with_contents(self.task.object, self.task.joint)
             object.__setattr__(self, "scene", loaded)
+        if self.task.verb == "press":
+            object.__setattr__(self, "robot", with_closed_hand(self.robot))
         if not hasattr(self.reach, "min_score"):
             raise InputError("reach must be a reachability map; load_reach_map reads one")
         object.__setattr__(self, "reach", checked_reach(self.reach))

@@ -26,6 +26,7 @@ from momapos.model.scene import latch_value
 from momapos.planning.grasps import slides
 from momapos.planning.navigation import BasePath, outlines_after, touched_at_home
 from momapos.planning.placement import OURS, Search, cost_terms
+from momapos.verification import SHORT_TRAVEL
 
 from .answer_notes import notes_on
 from .query import PlacementQuery
@@ -79,8 +80,11 @@ class PlacementResult:
         return slides(self.prepared.scene, self.plan.task)
 
     def value_words(self, value: float) -> str:
-        """Return a value of the task's joint in words, such as 90 deg or 30 cm."""
-        return f"{100 * value:.0f} cm" if self.slides else f"{math.degrees(value):.0f} deg"
+        """Return a value of the task's joint in words, such as 90 deg, 30 cm or 4 mm."""
+        if not self.slides:
+            return f"{math.degrees(value):.0f} deg"
+        short = np.ptp(self.prepared.motion.object_q) < SHORT_TRAVEL
+        return f"{1000 * value:.3g} mm" if short else f"{100 * value:.0f} cm"
 
     @property
     def holds(self) -> tuple[str, ...]:

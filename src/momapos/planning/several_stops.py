@@ -15,7 +15,7 @@ import numpy as np
 from momapos.core import OutOfTimeError
 from momapos.core.geometry import pose_planar
 from momapos.model.records import Hold, Motion, PlacementPlan
-from momapos.model.scene import stays_in_place
+from momapos.model.scene import scene_after, stays_in_place
 
 from .max_opening import MIN_TIMEOUT, answer_on_watch, by_samples, last_that_works
 from .query import PlacementQuery
@@ -81,10 +81,7 @@ def plan_in_stretches(
 def _after(query: PlacementQuery, leg: PlacementResult) -> PlacementQuery:
     """Return the question that is left after a stretch."""
     done, base = leg.plan.task, leg.plan.base_pose
-    assert done.joint is not None
-    assert done.to is not None
-    scene = query.scene.with_joint(done.object, done.joint, done.to)
-    return replace(query, scene=scene, start=np.array(base))
+    return replace(query, scene=scene_after(query.scene, done), start=np.array(base))
 
 
 def _longest(

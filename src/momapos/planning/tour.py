@@ -22,7 +22,7 @@ from momapos.model.records import (
     Task,
     status_of_all,
 )
-from momapos.model.scene import Scene, copied, save_scene
+from momapos.model.scene import Scene, copied, save_scene, scene_after
 from momapos.planning.grasps import GraspFilter, make_task
 from momapos.planning.placement import (
     BaseStatus,
@@ -293,8 +293,7 @@ def scenes_of(
                 f"{verb} {name}: the task after it needs to know how far; give a value, as 90deg"
             )
         scenes.append((scene, task))
-        if task.joint is not None and task.to is not None:
-            scene = scene.with_joint(name, task.joint, task.to)
+        scene = scene_after(scene, task)
         if choices is not None and k in choices.tried:
             placed[k + 1] = choices.carry(k, scene, name, requests[k + 1].to)
     return scenes

@@ -34,7 +34,7 @@ from .execute import believed_joint, cuts_of, is_of_one_object, judge, section_o
 from .execution_run import ExecutionRun, Watch
 from .robot_dynamics import find_hand, read_dynamics
 from .run_record import Collision, Execution, RunRecord, Visit
-from .stages import grasp_here
+from .stages import grasp_here, press_in
 from .worlds import WorldSetup, draw_worlds
 
 if TYPE_CHECKING:
@@ -104,8 +104,7 @@ class _PlanRun:
         self.offset = np.zeros(len(plan.joints))
         """Of the arm from the plan, where fingers centered the hand [rad] or [m]."""
         self.base.put(self.drive[0])
-        if plan.task.verb == "place":
-            self.run.carry(scene.object(plan.task.object))
+        self.run.begin_with(scene.object(plan.task.object))
 
     def carry_out(self) -> Ending:
         """Drive, approach, and move the part; return how it ended."""
@@ -126,7 +125,10 @@ class _PlanRun:
                 section = section_of(motion, first, last)
                 ending = ending or grasp_here(run, section, hold, searches=False)
                 self.offset = run.arm.q - motion.q[first]
-            ending = ending or self._manipulate(first, last, None if free else hold)
+            if self.plan.task.verb == "press" and hold is not None:
+                ending = ending or press_in(run)
+            else:
+                ending = ending or self._manipulate(first, last, None if free else hold)
             if ending is not None:
                 return ending
         return run.rest(Stage.DWELL, DWELL_TIME) or Ending.DONE
@@ -173,8 +175,9 @@ class _PlanRun:
         whole = self._times(motion.q, motion) if times is None else times
         base = None if motion.base is None else motion.base[states]
         at = whole[states] - whole[first]
+        values = None if self.plan.task.verb == "press" else motion.object_q[states]
         return self._follow(
-            motion.q[states], at, Stage.MANIPULATE, base, motion.object_q[states],
+            motion.q[states], at, Stage.MANIPULATE, base, values,
             None if hold is not None else motion.Ts_world_tool[states],
         )  # fmt: skip
 

@@ -85,6 +85,8 @@ def judge(
         assert task.to is not None
         asked = task.to
         start, reached = float(item.values()[task.joint]), float(world.data.qpos[world.part_q])
+        if task.verb == "press":  # it may spring back
+            reached = float(np.clip(asked, *observer.part_range))
         near = abs(reached - asked) <= config.tolerance * abs(asked - start)
         reason = ""
         if not near or stopped:
@@ -261,8 +263,7 @@ def attempt(
     run = ExecutionRun(
         world, motion, task, config, worlds.seal, belief, known, watch, touched, doubt, base
     )
-    if task.verb == "place":
-        run.carry(item)
+    run.begin_with(item)
     run.check_start()
     began = clock()
     approach = _approach(robot, motion, task, config, known, careful=again is not None)

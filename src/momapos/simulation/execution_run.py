@@ -36,6 +36,7 @@ from .config import (
     GRIP_TIME,
     LOST_TIME,
     MIN_LOADED,
+    PRESS_FORCE,
     SUBSTEPS,
     WEIGHT_TIME,
     WELD_FORCE,
@@ -47,7 +48,7 @@ from .config import (
 from .geoms import ROBOT, Kind, matrix_quat
 from .joint_estimate import Axis, JointDoubt, JointEstimate, LearnedPart
 from .run_record import Collision, Load, Slip, Tracking
-from .simulated_room import Seal
+from .simulated_room import Seal, push_of
 from .simulation import Simulation
 
 if TYPE_CHECKING:
@@ -120,6 +121,8 @@ class Observer:
     slip: Slip = field(default_factory=Slip)
     load: Load = field(default_factory=Load)
     base_shift: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    part_range: tuple[float, float] = (np.inf, -np.inf)
+    """Smallest and largest value of the part's joint [rad] or [m]."""
     _T_part_tool: Float[np.ndarray, "4 4"] | None = None
     _worst: float = 0.0
     _squares: float = 0.0
@@ -178,6 +181,8 @@ class Observer:
         self._samples += 1
         effort = np.abs(data.qfrc_actuator[world.arm_v]) / self._limit
         self._effort = max(self._effort, float(effort.max()))
+        value, (low, high) = float(data.qpos[world.part_q]), self.part_range
+        self.part_range = min(low, value), max(high, value)
         self.base_shift = np.maximum(self.base_shift, np.abs(data.qpos[world.base_q] - base))
         if data.ncon:
             self._note_contacts(time, stage)
@@ -427,6 +432,8 @@ class ExecutionRun:
         self.spent = dict.fromkeys(Stage, 0)
         self.detail = ""
         """Figures that explain the ending."""
+        self.press_force = PRESS_FORCE
+        """Push at which a pressed part is at its end [N]."""
         self.usual_push: float | None = None
         """Push toward the end of the path when the last section begins [N]; None before."""
 
@@ -434,6 +441,13 @@ class ExecutionRun:
     def time(self) -> float:
         """Time since the start of the run [s]."""
         return sum(self.spent.values()) * self.step
+
+    def begin_with(self, item: SceneObject) -> None:
+        """Put an object to be placed into the hand, or learn how hard a part must be pressed."""
+        if self.task.verb == "place":
+            self.carry(item)
+        elif self.task.verb == "press":
+            self.press_force += push_of(item, self.task, self.config.furniture)
 
     def carry(self, item: SceneObject) -> None:
         """Put the object into the hand as planned for its placement."""

@@ -19,6 +19,8 @@ from momapos.model.scene import (
     latch_to_turn,
     object_mass,
     part_masses,
+    resistance_along,
+    stated_resistance,
 )
 from momapos.model.urdf import Geometry, Hull, Joint, opening_of, opens_both_ways
 
@@ -183,6 +185,14 @@ class Deviation:
     """Axis of its joint, in that frame."""
 
 
+PRESS_STOP = [0.004, 1.0]
+"""Time constant [s] and damping ratio of the stop of a pressed part: the engine's own gives way by
+millimeters to a fingertip, since buttons weigh little."""
+CLOSER_SPEED = 0.5
+"""Speed at which a closer lets a part close [rad/s] or [m/s]: a door of 90 deg takes three seconds,
+as the standard for door closers, EN 1154, has it at least."""
+
+
 @dataclass(frozen=True)
 class Seal:
     """Seal or catch that keeps a closed part closed."""
@@ -197,13 +207,15 @@ class Seal:
     """Travel over which it decays [rad] or [m]."""
     two_sided: bool = False
     """Whether the part opens in both directions, such as a swing door."""
+    spring: float = 0.0
+    """Torque or force that pulls the part back toward its closed value, everywhere [Nm] or [N]."""
 
     def force(self, value: float) -> float:
         """Return the torque or force at a value of the joint [Nm] or [N]."""
         away = (value - self.closed) / self.reach
         share = max(0.0, 1.0 - abs(away))
         toward = np.clip(away / CATCH_PLAY, -1.0, 1.0) if self.two_sided else self.outward
-        return float(-toward * self.pull * share)
+        return float(-toward * (self.pull * share + self.spring))
 
 
 def seal_of(item: SceneObject, joint: Joint | None, pull: float, config: FurnitureConfig) -> Seal:
@@ -224,7 +236,20 @@ def seal_of(item: SceneObject, joint: Joint | None, pull: float, config: Furnitu
     assert known.seal_travel is not None
     lever = known.lever or (1.0 if joint.kind == "prismatic" else _width(item, joint))
     both = opens_both_ways(item.model, joint.name)
-    return Seal(opening.closed, opening.sign, pull * lever, known.seal_travel / lever, both)
+    return Seal(
+        opening.closed, opening.sign, pull * lever, known.seal_travel / lever, both,
+        known.spring or 0.0,
+    )  # fmt: skip
+
+
+def push_of(item: SceneObject, task: Task, config: FurnitureConfig) -> float:
+    """Return the push that a part needs on its way to a task's goal [N]; a rocker halfway out."""
+    assert task.joint is not None
+    assert task.to is not None
+    joint = item.joint(task.joint)
+    lever = 1.0 if joint.kind == "prismatic" else _width(item, joint) / 2
+    values = np.array([item.values()[joint.name], task.to])
+    return resistance_along(item, joint.name, values, lever, config).largest / lever
 
 
 def _width(item: SceneObject, joint: Joint) -> float:
@@ -343,7 +368,7 @@ def add_part(
         if leads:
             _add_stop(added, item, joint, task)
             added.frictionloss = resistance.friction
-            added.damping = [resistance.damping, 0, 0]
+            added.damping = [max(resistance.damping, _braking(item, joint.name)), 0, 0]
         elif latch is not None and joint.name == latch.joint:
             add_friction(added, item, latch, config.furniture)
         else:
@@ -351,6 +376,12 @@ def add_part(
         shapes.add(spec, body, carrier, [link for link, on in groups.items() if on == carrier])
     if latch is not None:
         add_lock(spec, PART)
+
+
+def _braking(item: SceneObject, joint: str) -> float:
+    """Return the damping by which a closer brakes the part that its spring closes, else 0."""
+    known = stated_resistance(item, joint)
+    return (known.spring or 0.0) / CLOSER_SPEED if known.closer else 0.0
 
 
 def set_masses(
@@ -479,6 +510,8 @@ def _add_stop(added: Any, item: SceneObject, joint: Joint, task: Task) -> None:
 
     Contacts with the frame, which stop a real door, are excluded as bearings.
     """
+    if task.verb == "press":
+        added.solref_limit = PRESS_STOP
     if opens_both_ways(item.model, joint.name):
         return
     opening, free = opening_of(item.model, joint.name), [joint.lower, joint.upper]

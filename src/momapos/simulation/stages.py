@@ -38,6 +38,9 @@ from .config import (
     NEAR_SPEED,
     NOTICED_FORCE,
     PATH_FORCE,
+    PRESS_SPEED,
+    PRESS_TIME,
+    PRESS_TRAVEL,
     RETRY_OFFSETS,
     SEARCH_AHEAD,
     SEARCH_BACK,
@@ -115,6 +118,35 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
             sign, most = -1.0, gone - SEARCH_BACK
     run.forward_offset = gone * ahead
     return None
+
+
+def press_in(run: ExecutionRun) -> Ending | None:
+    """Move the fingertips ahead until the part stops them; return an early ending, or None.
+
+    A button moves by millimeters, less than the base misses its pose by. So the hand feels where
+    the button is, and where it ends, instead of following the plan.
+
+    Args:
+        run: The run, with the hand at the planned contact.
+    """
+    q = run.world.data.qpos[run.world.arm_q].copy()
+    T, _ = run.arm.kinematics.at(q)
+    ahead, still = T[:3, :3] @ run.world.hand.approach, np.zeros(len(q))
+    across, gone, firm = EVERYWHERE - np.outer(ahead, ahead), 0.0, 0
+    while gone < PRESS_TRAVEL:
+        there = T.copy()
+        there[:3, 3] += gone * ahead
+        twist = np.concatenate([PRESS_SPEED * ahead, np.zeros(3)])
+        run.arm.follow(Reference(q, still, there, twist, EVERYWHERE, across))
+        ending = run.tick(Stage.MANIPULATE)
+        if ending is not None:
+            return ending
+        push = float(-run.arm.wrench[:3] @ ahead)
+        firm = firm + 1 if push > run.press_force else 0
+        if firm * run.step >= PRESS_TIME:
+            return None
+        gone += PRESS_SPEED * run.step
+    return Ending.NOTHING_MET
 
 
 def go_between(run: ExecutionRun, way: PacedTrajectory) -> Ending | None:
@@ -522,6 +554,8 @@ def grasp_here(
         return Ending.ASTRAY
     run.observer.reaching = False
     family = Family.UNSTATED if hold is None else hold.kind
+    if run.task.verb == "press":
+        return None
     if run.config.hold == "contact":
         if family is Family.PUSH:
             return None
@@ -548,6 +582,8 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
     plan = stretch.plan
     if stretch.between is not None:
         return go_between(run, stretch.between)
+    if run.task.verb == "press" and stretch.pushes:
+        return press_in(run)
     if stretch.turns_latch:
         return turn_latch(run, plan)
     if run.belief is None or not run.belief.alone or stretch.hold is None:

@@ -3,6 +3,7 @@ from .contact_pairs import object_contacts as object_contacts
 from .exact_check import PlanVerifier as PlanVerifier
 from .hand_checks import HOLD_CHECK as HOLD_CHECK
 from .hand_checks import depth_between as depth_between
+from .part_sweep import SHORT_TRAVEL as SHORT_TRAVEL
 from .part_sweep import free_lift as free_lift
 from .part_sweep import meets_floor_at as meets_floor_at
 from .part_sweep import obstructing_links as obstructing_links

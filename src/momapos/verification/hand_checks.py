@@ -271,7 +271,7 @@ class HandChecker:
         for family, state in _held_states(motion, path, rigid=self.part.joint is None):
             forward, at = None, Ts_tool_body[state]
             if family.leads or not hand.digits:
-                forward = self._forward(path, state, Ts_world_tool[state], Ts_world_body)
+                forward = self._forward(family, path, state, Ts_world_tool[state], Ts_world_body)
             gap, why = self._gap(_Grasp(family, near, near.placed(at[None])[0], forward))
             if gap > limits.hand_gap:
                 drawn = self._surface.near(at[None], hand, drawn=True)
@@ -328,6 +328,7 @@ class HandChecker:
 
     def _forward(
         self,
+        family: Family,
         path: DensePath,
         state: int,
         T_world_tool: Float[np.ndarray, "4 4"],
@@ -335,6 +336,7 @@ class HandChecker:
     ) -> Float[np.ndarray, "3"] | None:
         """Return the unit direction in which the part moves at the tool, in the tool frame.
 
+        What is pushed counts where it is nearest to the tool: a rocker is smaller than the hand.
         Where it rests, that of its next motion counts, or of its last one; None without any.
         """
         part, latch_q, point = self.part, path.latch_q, T_world_tool[:3, 3]
@@ -350,6 +352,8 @@ class HandChecker:
             body = part.nearest_body(point, float(path.object_q[state]))
         here, before, after = Ts_world_body[[state, step, step + 1], body]
         local = here[:3, :3].T @ (point - here[:3, 3])
+        if family is Family.PUSH:
+            local = part.nearest_point(local, body)
         moved = (after - before)[:3] @ np.append(local, 1.0)
         length = float(np.linalg.norm(moved))
         if length < _STILL:

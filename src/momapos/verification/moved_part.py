@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import apply, invert
-from momapos.model.records import Task
+from momapos.model.records import JointVerb, Task
 from momapos.model.scene import Scene, SceneObject, latch_to_turn
 from momapos.model.urdf import Joint, opening_of
 
@@ -108,6 +108,16 @@ class MovedPart:
         local = T_body_world[:, :3, :3] @ point + T_body_world[:, :3, 3]
         return int(np.argmin([self.distance(x, body) for body, x in enumerate(local)]))
 
+    def nearest_point(self, point: Float[np.ndarray, "3"], body: int) -> Float[np.ndarray, "3"]:
+        """Return the nearest point of the boxes around a body's shapes, in its frame [m]."""
+        own = np.flatnonzero(self.shapes.body == body)
+        Ts = self.shapes.Ts_body_shape[own]
+        local = apply(invert(Ts), point[None])[:, 0]
+        half = self.shapes.half[own]
+        inside = np.clip(local, -half, half)
+        best = int(np.linalg.norm(local - inside, axis=1).argmin())
+        return np.asarray(Ts[best, :3, :3] @ inside[best] + Ts[best, :3, 3])
+
     def distance(self, point: Float[np.ndarray, "3"], body: int = 0) -> float:
         """Return the distance of a point in a body's frame from its shapes [m]; negative inside."""
         own = np.flatnonzero(self.shapes.body == body)
@@ -175,7 +185,7 @@ def split(scene: Scene, task: Task) -> tuple[MovedPart, Shapes, OwnElements]:
         TaskError: The task names a joint but no value, or opens an object without a joint.
     """
     target = scene.object(task.object)
-    if task.joint is None and task.verb in ("open", "close"):
+    if task.joint is None and task.verb in get_args(JointVerb):
         raise TaskError(f"task: joint must be given to {task.verb} {task.object!r}")
     if task.joint is not None and task.to is None:
         raise TaskError(f"task: to must be given for joint {task.joint!r} of {task.object!r}")

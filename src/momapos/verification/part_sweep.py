@@ -38,6 +38,8 @@ TOUCH = 1e-5
 """Depth at which a part that would extend deeper meets the floor [m]."""
 LIFT_STEP = 0.002
 """Distance between the heights at which a lift is checked [m]."""
+SHORT_TRAVEL = 0.05
+"""Motions up to this length are stated in tenths of millimeters [m]."""
 _FINE_STEPS = 33
 """Number of states between two states of a sweep, among which the contact is found [-]."""
 
@@ -255,6 +257,22 @@ class PartSweepCheck:
             )  # fmt: skip
         return found
 
+    @property
+    def sunk_into(self) -> tuple[str, ...]:
+        """Return the links of its own object that a pressed part gets deeper into than others may.
+
+        These have no hole in the model, see `_contacts`.
+        """
+        links = dict[str, None]()
+        for check in self.own:
+            depth, _ = check.to_goal
+            start = check.depths(check.part.start, check.limits.penetration)
+            deeper = np.maximum(depth, 0.0) - np.maximum(start, 0.0) > check.limits.penetration
+            links |= dict.fromkeys(
+                link_of_label(check.fixed.names[j]) for j in check.pairs[deeper, 1].tolist()
+            )
+        return tuple(links)
+
     def obstructions(self, goal: float) -> frozenset[str]:
         """Return the links, as object/link, that the part hits on the path to a joint value."""
         return frozenset(
@@ -277,7 +295,9 @@ class PartSweepCheck:
         if joint is None:
             return f"when lifted by {value:.2f} of {goal:.2f} m"
         if joint.kind == "prismatic":
-            return f"at {value:.2f} m, moving from {start:.2f} to {goal:.2f} m"
+            digits = 2 if abs(goal - start) > SHORT_TRAVEL else 4
+            here, begin, end = (f"{x:.{digits}f}" for x in (value, start, goal))
+            return f"at {here} m, moving from {begin} to {end} m"
         v, a, b = (round(math.degrees(x)) for x in (value, start, goal))
         return f"at {v} deg, moving from {a} to {b} deg"
 
@@ -322,6 +342,8 @@ def _contacts(part: MovedPart, own: OwnElements, limits: Limits) -> PartSweepChe
     element, loose = own.of_standing[pairs[:, 1]], own.loose[own.of_part[pairs[:, 0]]]
     resting = _resting(check, own.displaced[element] | loose)
     error = _model_error(resting, own.movable[element] | loose)
+    if own.task.verb == "press":  # a button sinks into its plate, whose model often has no hole
+        error[(resting > TOUCHING) & ~own.movable[element]] = MODEL_ERROR
     check = replace(check, already=_allowed(check, resting, error))
     suspects = (resting > limits.deeper) | (check.excess(part.goal) > 0.0)
     if suspects.any():

@@ -19,6 +19,7 @@ from momapos.model.scene import (
     as_begun,
     as_planned,
     load_scene,
+    scene_after,
     with_assumptions,
     with_overrides,
 )
@@ -341,7 +342,7 @@ def _sequence(
             f"{name}: same robot as the previous plan",
             (before.robot_urdf, before.joints) == (after.robot_urdf, after.joints),
         )
-        left, room = _left_by(before, rooms[number - 2]), rooms[number - 1]
+        left, room = scene_after(rooms[number - 2], before.task), rooms[number - 1]
         placed = after.task.object if after.task.verb == "place" else ""
         other = _differences(left, room, placed)
         yield verdict(
@@ -371,14 +372,6 @@ def _arm_gap(before: PlacementPlan, after: PlacementPlan) -> float | None:
         return None
     starts = first.approach[:1] if len(first.approach) else first.q[:1]
     return float(np.abs(starts - last.home[-1:]).max(initial=0.0))
-
-
-def _left_by(plan: PlacementPlan, room: Scene) -> Scene:
-    """Return the room after a plan."""
-    task = plan.task
-    if task.joint is None or task.to is None:
-        return room
-    return room.with_joint(task.object, task.joint, task.to)
 
 
 def _differences(before: Scene, after: Scene, held: str) -> list[str]:

@@ -11,12 +11,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from momapos.core import Clock, Stopwatch, TaskError, as_path, expect, processor_time
 from momapos.core.geometry import pose, rotation_about
-from momapos.model.records import Detection, ReachScorer, Scan, Task, Verb
+from momapos.model.records import Detection, JointVerb, ReachScorer, Scan, Task, Verb
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject, load_scene
 from momapos.model.urdf import Articulated, box_urdf
@@ -112,9 +113,6 @@ def _boxed(item: Detection) -> SceneObject:
     model = Articulated(box_urdf(item.name, (x, y, z)))
     R = rotation_about(np.array([0.0, 0.0, 1.0]), item.box.yaw)
     return SceneObject(item.name, item.label, pose(item.box.center, R), model)
-
-
-JOINTED = ("open", "close")
 
 
 @dataclass(frozen=True)
@@ -254,7 +252,7 @@ def _check_moves(modeled: Modeled, query: ScanTask) -> None:
         TaskError: The scan shows none; the message says why.
     """
     (target,) = (one for one in modeled.decisions if one.detection.name == query.object)
-    if query.verb in JOINTED and target.model is None:
+    if query.verb in get_args(JointVerb) and target.model is None:
         raise TaskError(
             f"no door or drawer was found on {query.object!r} ({target.reason}); "
             f"scan its front from closer, or give its URDF"

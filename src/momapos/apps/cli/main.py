@@ -16,9 +16,10 @@ from contextlib import redirect_stdout, suppress
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "plan base poses and motions to open, close, pick, place or bring, or to reach poses",
+        "plan base poses and motions to open, close, press, pick, place, bring, or reach poses",
         {
             "open": "place:place_open", "close": "place:place_close",
+            "press": "place:place_press",
             "pick": "place:place_pick", "place": "place:place_place",
             "bring": "tour:place_bring", "reach": "tour:place_reach",
         },

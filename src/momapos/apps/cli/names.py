@@ -18,6 +18,7 @@ MAX_BYTES = 5_000_000
 _SCENE, _ROBOT, _OBJECT, _PART, _SUITE = "scene", "robot", "object", "part", "suite"
 _POSITIONS = {
     ("place", "open"): (_SCENE, _PART), ("place", "close"): (_SCENE, _PART),
+    ("place", "press"): (_SCENE, _PART),
     ("place", "pick"): (_SCENE, _OBJECT), ("place", "place"): (_SCENE, _OBJECT),
     ("rank",): (_SCENE, _PART), ("view",): (_SCENE,), ("scene", "show"): (_SCENE,),
     ("scene", "check"): (_SCENE,), ("scene", "convert"): (_SCENE,), ("scene", "scan"): (_SCENE,),
@@ -107,7 +108,7 @@ def names_for(words: Sequence[str]) -> list[str]:
         after = words[len(words) - words[::-1].index("then") :]
         if len(after) != 1:
             return []
-        return _names(_PART if after[0] in ("open", "close") else _OBJECT, given)
+        return _names(_PART if after[0] in ("open", "close", "press") else _OBJECT, given)
     return _names(positions[len(given)], given) if len(given) < len(positions) else []
 
 

@@ -302,6 +302,24 @@ def place_close(
     return _answer("close", scene, target, to, options)
 
 
+def place_press(
+    scene: SceneArg,
+    target: Target,
+    /,
+    *,
+    to: ValueArg = None,
+    options: Shared = DEFAULT,
+) -> int:
+    """Press a button, a rocker or a switch with the fingertips of the closed hand, and let go.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        target: The object, and its joint if it has several.
+        to: How far to press: 3mm, -8deg (default: the farther limit).
+    """
+    return _answer("press", scene, target, to, options)
+
+
 def place_pick(
     scene: SceneArg,
     target: ObjectArg,
@@ -469,7 +487,7 @@ def _answer(
 ) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
-    if options.lift is not None and verb in ("open", "close"):
+    if options.lift is not None and verb not in ("pick", "place"):
         raise TaskError(f"--lift is for what is picked up or placed; {verb} lifts nothing")
     config = options.read_config()
     name, _, joint = target.partition("/")

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 from viser import _messages as messages
 
 from momapos.core import TaskError, escape_markdown, parse_quantity
+from momapos.model.records import JointVerb
 from momapos.model.scene import Scene
 from momapos.planning.grasps import make_task
 from momapos.simulation import GIF, MP4
@@ -130,7 +131,7 @@ def how_far(scene: Scene, verb: str, target: str) -> HowFar | None:
         target: The object and joint as "object/joint".
     """
     name, _, joint_name = target.partition("/")
-    if verb not in ("open", "close") or not joint_name:
+    if verb not in get_args(JointVerb) or not joint_name:
         return None
     item = scene.object(name)
     joint = item.joint(joint_name)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from momapos.core import Cache, Clock, Stopwatch, TaskError
-from momapos.model.records import ReachScorer, Task, ToolPose, Verb
+from momapos.model.records import JointVerb, ReachScorer, Task, ToolPose, Verb
 from momapos.model.robots import Robot, load_arms
 from momapos.model.scene import Scene
 from momapos.planning import (
@@ -58,7 +58,7 @@ class Question:
         if self.poses:
             return Task(self.verb, "", poses=self.poses)
         name, _, joint = self.target.partition("/")
-        if self.verb in ("open", "close"):
+        if self.verb in get_args(JointVerb):
             return make_task(scene, self.verb, name, joint or None, self.to.strip() or None)
         return make_task(scene, self.verb, name)
 
@@ -120,7 +120,7 @@ class RobotLoader:
 
 def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:
     """List the targets of a verb in a room: joints with handles first, or small objects first."""
-    if verb in ("open", "close"):
+    if verb in get_args(JointVerb):
         handled = [f"{name}/{joint}" for name, joint in openable(scene)]
         every = [f"{item.name}/{joint}" for item in scene.objects for joint in item.model.joints]
         return tuple(dict.fromkeys((*handled, *every)))

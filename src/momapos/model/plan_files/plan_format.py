@@ -9,7 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ from momapos.model.records import (
     Candidates,
     CostTerm,
     Hold,
+    JointVerb,
     KeyObjects,
     Motion,
     NearestMiss,
@@ -515,7 +516,7 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
         "task.poses must be the tool poses of reach, whose task.object is null",
     )
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
-    moves = data.task.verb in ("open", "close")
+    moves = data.task.verb in get_args(JointVerb)
     need(
         moves or data.task.joint is None,
         f"task.joint must be null to {data.task.verb}, which moves a whole object",

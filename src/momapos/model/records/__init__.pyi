@@ -21,6 +21,7 @@ from .plans import Candidates as Candidates
 from .plans import Family as Family
 from .plans import Hold as Hold
 from .plans import JointResistance as JointResistance
+from .plans import JointVerb as JointVerb
 from .plans import KeyObjects as KeyObjects
 from .plans import Latch as Latch
 from .plans import Motion as Motion

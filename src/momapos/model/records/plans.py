@@ -89,7 +89,9 @@ FAMILIES: tuple[Family, ...] = tuple(one for one in Family if one)
 """The families that a plan may name."""
 
 
-Verb = Literal["open", "close", "pick", "place", "reach"]
+JointVerb = Literal["open", "close", "press"]
+"""What moves a part by its joint; to press is to push it and to let go."""
+Verb = Literal[JointVerb, "pick", "place", "reach"]
 RequestVerb = Literal[Verb, "bring"]
 """What can be requested; to bring an object is to pick it up and to place it."""
 
@@ -263,10 +265,19 @@ class JointResistance:
     """Mass of all that the joint moves [kg]."""
     balanced: bool | None = None
     """Whether springs bear the weight of the part, as in most dishwashers and lift-up doors."""
+    spring: float | None = None
+    """What pulls the part back toward its closed value, everywhere [Nm] or [N]."""
+    closer: bool | None = None
+    """Whether a closer brakes the part that this spring closes."""
 
     def __post_init__(self) -> None:
         check_fields(self)
-        for name in ("seal_force", "seal_travel", "lever", "friction", "damping", "mass"):
+        if self.closer and self.spring is None:
+            raise InputError(
+                "JointResistance.closer needs a spring, the torque [Nm] or force [N] that closes "
+                "the part"
+            )
+        for name in ("seal_force", "seal_travel", "lever", "friction", "damping", "mass", "spring"):
             value = getattr(self, name)
             if value is not None:
                 least = 1e-6 if name in ("seal_travel", "lever", "mass") else 0.0

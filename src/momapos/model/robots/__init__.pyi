@@ -13,6 +13,7 @@ from .hand_openings import pivots as pivots
 from .hand_openings import squared as squared
 from .hand_openings import tips_of as tips_of
 from .hand_openings import widest_stroke as widest_stroke
+from .hand_openings import with_closed_hand as with_closed_hand
 from .load_limits import RobotLoads as RobotLoads
 from .load_limits import StateLoads as StateLoads
 from .load_limits import robot_loads as robot_loads

@@ -212,6 +212,12 @@ def opened_to(robot: Robot, width: float) -> Robot | None:
     return _resting(whole, at, width)
 
 
+def with_closed_hand(robot: Robot) -> Robot:
+    """Return a robot whose fingers are closed; the same one if they do not close."""
+    _, _, gaps = _closing(robot.fully_open or robot)
+    return (opened_to(robot, max(float(gaps[-1]), 0.0)) if len(gaps) else None) or robot
+
+
 def opened_as(robot: Robot, rest: Mapping[str, float]) -> Robot:
     """Return a robot with its hand as open as a plan says.
 

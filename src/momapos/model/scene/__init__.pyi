@@ -7,7 +7,9 @@ from .joint_resistance import assumes_springs as assumes_springs
 from .joint_resistance import known_resistance as known_resistance
 from .joint_resistance import object_mass as object_mass
 from .joint_resistance import part_masses as part_masses
+from .joint_resistance import release_problem as release_problem
 from .joint_resistance import resistance_along as resistance_along
+from .joint_resistance import scene_after as scene_after
 from .joint_resistance import stated_resistance as stated_resistance
 from .joint_resistance import stays_in_place as stays_in_place
 from .kitchens import LAYOUTS as LAYOUTS

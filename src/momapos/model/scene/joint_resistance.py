@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import GRAVITY, owner_cache
-from momapos.model.records import JointResistance
+from momapos.model.records import JointResistance, Task
 from momapos.model.urdf import Articulated, Hull, opening_of
 
 from .resistance_config import ResistanceConfig
+from .scene import Scene
 from .scene_object import SceneObject
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ MAX_HINGE_SLOPE = 0.5
 """Largest vertical share of a horizontal hinge's direction, the sine of 30 degrees [-]."""
 MIN_OFFSET = 0.01
 """Distance from its hinge within which a center of mass has no weight that matters [m]."""
+AT_STOP = 1e-3
+"""Largest distance of a joint's value from a limit or the closed value at it [rad] or [m]."""
 _STEP = 1e-5
 """Difference of joint values for the derivative of a height [rad] or [m]."""
 
@@ -41,8 +44,9 @@ class MotionResistance:
     friction: Float[np.ndarray, " v"]
     damping: Float[np.ndarray, " v"]
     weight: Float[np.ndarray, " v"]
+    spring: Float[np.ndarray, " v"]
     by_file: Mapping[str, str] = field(default_factory=dict)
-    """Friction and damping by the object's file, in words; without what it does not say."""
+    """Friction, damping and spring by the object's files, in words; without what they lack."""
 
     @property
     def along(self) -> Float[np.ndarray, " v"]:
@@ -50,7 +54,7 @@ class MotionResistance:
 
         Damping counts where it resists. It does not hold a part back that moves slowly.
         """
-        slow = self.seal + self.friction + self.weight
+        slow = self.seal + self.friction + self.weight + self.spring
         fast = slow + self.damping
         return np.where(np.abs(fast) > np.abs(slow), fast, slow)
 
@@ -66,7 +70,10 @@ class MotionResistance:
 
     def source(self, index: int) -> str:
         """Return the file's value if it is most of the total at a value, in words; else ""."""
-        terms = {"friction": self.friction[index], "damping": self.damping[index]}
+        terms = {
+            "friction": self.friction[index], "damping": self.damping[index],
+            "spring": self.spring[index],
+        }  # fmt: skip
         key = max(terms, key=terms.__getitem__)
         return self.by_file.get(key, "") if terms[key] > self.total[index] / 2 else ""
 
@@ -115,6 +122,7 @@ def resistance_along(
         friction=np.full(len(values), known.friction),
         damping=known.damping * np.abs(speed),
         weight=-towards * weight_at(item, joint, values, config),
+        spring=-towards * spring_at(item, joint, values),
         by_file=_file_words(item, joint),
     )
 
@@ -139,13 +147,40 @@ def weight_at(
     return -GRAVITY * (after - before) / (2 * _STEP)
 
 
+def spring_at(
+    item: SceneObject, joint: str, values: Float[np.ndarray, " v"]
+) -> Float[np.ndarray, " v"]:
+    """Return the torque [Nm] or force [N] of a part's spring, positive toward larger values."""
+    known, opening = stated_resistance(item, joint), opening_of(item.model, joint)
+    away = np.asarray(values) - opening.closed
+    side = np.where(np.abs(away) > AT_STOP, np.sign(away), opening.sign)
+    return -side * (known.spring or 0.0)
+
+
 def stays_in_place(
     item: SceneObject, joint: str, values: Float[np.ndarray, " v"], config: ResistanceConfig
 ) -> Bool[np.ndarray, " v"]:
-    """Check at joint values [rad] or [m] that friction holds a released part in place."""
-    friction = known_resistance(item, joint, config).friction
+    """Check at joint values [rad] or [m] that friction or a stop holds a released part in place."""
+    friction, record = known_resistance(item, joint, config).friction, item.joint(joint)
     assert friction is not None
-    return np.abs(weight_at(item, joint, values, config)) < friction
+    force = weight_at(item, joint, values, config) + spring_at(item, joint, values)
+    stop = np.where(force > 0.0, record.upper - values, values - record.lower)
+    return (np.abs(force) < friction) | (stop < AT_STOP)
+
+
+def release_problem(item: SceneObject, joint: str, value: float, config: ResistanceConfig) -> str:
+    """Return why a part does not stay at a value [rad] or [m] when it is released, else ""."""
+    at = np.array([value])
+    if stays_in_place(item, joint, at, config)[0]:
+        return ""
+    weight, spring = abs(weight_at(item, joint, at, config)[0]), abs(spring_at(item, joint, at)[0])
+    friction = known_resistance(item, joint, config).friction
+    what, force = ("spring", spring) if spring > weight else ("weight", weight)
+    unit = "N" if item.joint(joint).kind == "prismatic" else "Nm"
+    return (
+        f"{item.name}/{joint} does not stay there when the hand lets go: its {what} moves it with "
+        f"{force:.3g} {unit}, and friction holds {friction:.3g} {unit}"
+    )
 
 
 def stated_resistance(item: SceneObject, joint: str) -> JointResistance:
@@ -163,7 +198,7 @@ def stated_resistance(item: SceneObject, joint: str) -> JointResistance:
 def known_resistance(item: SceneObject, joint: str, config: ResistanceConfig) -> JointResistance:
     """Return the resistance of a joint with assumed values where the scene gives none.
 
-    All fields but `lever` have a value.
+    All fields but `lever`, `spring` and `closer` have a value.
     """
     given = stated_resistance(item, joint)
     record = item.joint(joint)
@@ -227,12 +262,33 @@ def _file_values(model: Articulated, joint: str) -> dict[str, dict[str, float]]:
     return found
 
 
+def scene_after(scene: Scene, task: Task) -> Scene:
+    """Return the scene that a task leaves, with its part at the goal.
+
+    A part that was pressed springs back, if its spring exceeds its friction.
+
+    Args:
+        scene: The scene before the task.
+        task: The task; an object that it picks up or places stays where it is.
+    """
+    if task.joint is None or task.to is None:
+        return scene
+    item = scene.object(task.object)
+    goal = np.array([task.to])
+    if task.verb == "press" and not stays_in_place(item, task.joint, goal, ResistanceConfig())[0]:
+        return scene
+    return scene.with_joint(task.object, task.joint, task.to)
+
+
 def _file_words(item: SceneObject, joint: str) -> dict[str, str]:
-    """Return the friction and damping that count by the object's file, in words."""
+    """Return the friction, damping and spring that count by the object's files, in words."""
     given = item.resistance.get(joint, JointResistance())
     slides = item.joint(joint).kind == "prismatic"
     units = {"friction": "N" if slides else "Nm", "damping": "Ns/m" if slides else "Nms/rad"}
-    return {
+    spring = (
+        {"spring": f"{given.spring:.3g} {units['friction']} by its spring"} if given.spring else {}
+    )
+    return spring | {
         key: f"{sum(of.values()):.3g} {units[key]} by <dynamics {key}> of {' and '.join(of)}"
         for key, of in _file_values(item.model, joint).items()
         if of and getattr(given, key) is None

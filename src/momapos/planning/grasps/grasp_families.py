@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import owner_cache
+from momapos.core import TaskError, owner_cache
 from momapos.core.geometry import rotation_about, rotation_of
 from momapos.model.records import FAMILIES, Family
 from momapos.model.robots import Grip, Robot
@@ -19,7 +19,14 @@ from momapos.verification import Limits
 from .config import HANDLE_POINTS, GraspConfig
 from .hand_boxes import HandBoxes, empty_handed, hand_of
 from .handle_shapes import NEVER, CarriedPart, Element, in_pieces, part_elements, touches_hull
-from .handles import PUSH_INSET, Handle, front_face, front_part, handles_in_turn
+from .handles import (
+    PUSH_INSET,
+    Handle,
+    front_face,
+    front_part,
+    handles_in_turn,
+    pressed_faces,
+)
 from .part_grasps import (
     PartGrasps,
     approach_lines,
@@ -266,24 +273,63 @@ def select_part_grasps(
                 break
             continue
         reasons.append(reason)
+    face = front_face(front_part(model, joint, sign), sign)
     pushes = closes and Family.PUSH in config.families and not only_own
-    pushed = push_grasps(robot, model, joint, sign, config) if pushes else None
-    if pushed is not None and len(pushed[1].code):
-        found.append(pushed)
+    if pushes and face is not None:
+        pushed = push_grasps(robot, model, joint, sign, face, config)
+        if len(pushed.code):
+            found.append((face, pushed))
     if found:
         return _ordered(model, joint, found, resistance, "", reasons[0] if reasons else "")
-    lines = approach_lines(robot, handles[0], config)
-    none = np.full(len(lines.R), np.nan)
-    bare = PartGrasps(
-        poses_of(lines.R, lines.target), np.zeros(len(none), np.int64), none,
-        np.zeros(len(none)), lines.target, lines.complexity,
-        np.arange(len(none)), "",
-    )  # fmt: skip
+    bare = _approaches(robot, handles[0], config)
     # A part without handles has only edges, whose reasons are alike.
     named = [r for r, h in zip(reasons, handles, strict=True) if not h.edge] or reasons[:1]
     plain = handles[0].edge or empty_handed(robot)
     edges = "" if plain else ", and no hand gets around its free edge"
     return _ordered(model, joint, [(handles[0], bare)], resistance, named[0] + edges, "")
+
+
+def select_presses(
+    robot: Robot,
+    model: Articulated,
+    joint: str,
+    sign: float,
+    resistance: MotionResistance,
+    config: GraspConfig,
+) -> GraspSelection:
+    """Select pushes with the fingertips that press a part in, see `pressed_faces`.
+
+    Args:
+        robot: The robot, with a closed hand.
+        model, joint: The part.
+        sign: Direction in which the part comes out (+1 or -1).
+        resistance: Resistance of the joint along the motion.
+        config: The grasps to try.
+
+    Raises:
+        TaskError: The part has no face that a push moves.
+    """
+    part = front_part(model, joint, sign)
+    faces = () if part is None else pressed_faces(part, sign)
+    if not faces:
+        raise TaskError(f"{joint} has no face whose push moves it there; open or close it instead")
+    pushes = [push_grasps(robot, model, joint, sign, face, config) for face in faces]
+    found = [(face, one) for face, one in zip(faces, pushes, strict=True) if len(one.code)]
+    if found:
+        return _ordered(model, joint, found, resistance, "", "")
+    bare = [(faces[0], _approaches(robot, faces[0], config))]
+    return _ordered(model, joint, bare, resistance, pushes[0].reason, "")
+
+
+def _approaches(robot: Robot, handle: Handle, config: GraspConfig) -> PartGrasps:
+    """Return approaches to a handle of which none holds, for answers that say why."""
+    lines = approach_lines(robot, handle, config)
+    none = np.full(len(lines.R), np.nan)
+    return PartGrasps(
+        poses_of(lines.R, lines.target), np.zeros(len(none), np.int64), none,
+        np.zeros(len(none)), lines.target, lines.complexity,
+        np.arange(len(none)), "",
+    )  # fmt: skip
 
 
 def _adds_to(first: Handle, handle: Handle) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -387,6 +388,45 @@ def front_face(part: CarriedPart | None, sign: float) -> Handle | None:
         part.carrier, front, front, edge.long, out, edge.half_length, 0.0, edge.thickness,
         HandleSource.EDGE, HandleKind.FACE, edge.name, edge.elements,
     )  # fmt: skip
+
+
+MIN_PRESS_COSINE = 0.86
+"""Least cosine between a face and the motion of its point, for which friction of 0.6 holds [-]."""
+
+
+def pressed_faces(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
+    """Return the faces of a part that move straight in when they are pushed, the best first.
+
+    A button has one. A rocker turns about a hinge in its middle, so each of its faces has a half
+    whose push moves it in one direction; the half farther from the hinge comes first.
+
+    Args:
+        part: The part.
+        sign: Direction in which the part comes out (+1 or -1).
+    """
+    own = own_elements(part)
+    record = next(j for j in part.model.urdf.joints if j.child == part.carrier)
+    if record.kind == "prismatic":
+        face = front_face(part, sign)
+        return () if face is None else (face,)
+    center, rotation, half = part.model.box_around(corners(own))
+    along = int(np.argmax(np.abs(rotation.T @ record.axis)))
+    found = []
+    for normal, across in permutations([k for k in range(3) if k != along]):
+        inset = min(PUSH_INSET, half[across] / 4)
+        for out, side in product((1.0, -1.0), repeat=2):
+            away = out * rotation[:, normal]
+            reach = half[normal] * away + side * (half[across] - inset) * rotation[:, across]
+            cosine = float(motion_direction(part, sign, center + reach) @ away)
+            lever = float(lever_arms(part, (center + reach)[None])[0])
+            if cosine > MIN_PRESS_COSINE:
+                face = Handle(
+                    part.carrier, center + reach, center + reach, rotation[:, along], away,
+                    float(half[along]), 0.0, float(2 * half[normal]), HandleSource.EDGE,
+                    HandleKind.FACE, longest_name(list(own)), own,
+                )  # fmt: skip
+                found.append((lever, face))
+    return tuple(face for _, face in sorted(found, key=lambda one: -one[0]))
 
 
 KNOB_ELONGATION = 1.5

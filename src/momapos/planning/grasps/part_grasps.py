@@ -25,7 +25,7 @@ from .handle_shapes import (
     part_pieces,
     touches_hull,
 )
-from .handles import Handle, HandleKind, HandleSource, front_face, front_part
+from .handles import Handle, HandleKind, HandleSource, front_face
 from .part_motion import motion_directions
 
 if TYPE_CHECKING:
@@ -468,16 +468,13 @@ def grasps_of(
 
 @owner_cache()
 def push_grasps(
-    robot: Robot, model: Articulated, joint: str, sign: float, config: GraspConfig
-) -> tuple[Handle, PartGrasps] | None:
-    """Generate pushes that close a part with the fingertips; None if it has no front."""
-    face = front_face(front_part(model, joint, sign), sign)
-    if face is None:
-        return None
+    robot: Robot, model: Articulated, joint: str, sign: float, face: Handle, config: GraspConfig
+) -> PartGrasps:
+    """Generate pushes with the fingertips on a face of a part, against its opening direction."""
     found = _touching(robot, hand_of(robot), model, joint, sign, face, config)
     push = np.full(len(found.code), FAMILIES.index(Family.PUSH))
     firm = np.full(len(found.code), np.inf)
-    return face, PartGrasps(
+    return PartGrasps(
         found.Ts_part_tool, push, found.width, firm, found.point, found.complexity, found.line,
         found.reason,
     )  # fmt: skip

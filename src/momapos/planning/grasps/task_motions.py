@@ -19,13 +19,20 @@ from momapos.model.scene import (
     known_resistance,
     latch_to_turn,
     object_mass,
+    release_problem,
     resistance_along,
 )
 from momapos.model.urdf import Articulated, Joint, opening_of
 from momapos.verification import free_lift
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
-from .grasp_families import MIN_LEVER, GraspSelection, select_inner_pushes, select_part_grasps
+from .grasp_families import (
+    MIN_LEVER,
+    GraspSelection,
+    select_inner_pushes,
+    select_part_grasps,
+    select_presses,
+)
 from .hand_boxes import closes_fingers, hand_of
 from .handle_shapes import CarriedPart
 from .handles import Handle, HandleKind, find_handle, handles_in_turn
@@ -174,8 +181,14 @@ def task_motion(
         return _rigid_motion(scene, robot, task, target, config)
     motion = _joint_motion(scene, robot, task, target, config, inside=inside)
     # A hand that pushes from behind has nothing to release.
-    retreats = config.home_again and not inside
-    return with_retreat(motion, robot, config.grasps) if retreats else motion
+    if task.verb == "press":
+        return with_retreat(motion, robot, config.grasps)
+    if not config.home_again or inside:
+        return motion
+    assert task.to is not None
+    problem = release_problem(target, task.joint, task.to, config.grasps.resistance)
+    motion = replace(motion, refusal=motion.refusal or problem)
+    return with_retreat(motion, robot, config.grasps)
 
 
 def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:
@@ -246,7 +259,7 @@ def _joint_motion(
     start = target.values()[joint.name]
     values = _steps(joint, start, task.to, config)
     model, sign = target.posed_model(joint.name), opening_sign(target, joint.name, task.to)
-    latch = latch_to_turn(target, joint.name)
+    latch = None if task.verb == "press" else latch_to_turn(target, joint.name)
     on = None if latch is None else model.joint(latch.joint).child
     handle = find_handle(model, joint.name, sign, on)
     part = CarriedPart(model, joint.name, handle.carrier)
@@ -255,6 +268,9 @@ def _joint_motion(
     resistance = resistance_along(target, joint.name, values, levers, assumed)
     known = known_resistance(target, joint.name, assumed)
     chosen = select_inner_pushes(robot, model, joint.name, sign, config.grasps) if inside else None
+    if task.verb == "press":
+        inward = -float(np.sign(task.to - start))
+        chosen = select_presses(robot, model, joint.name, inward, resistance, config.grasps)
     path = PartValues(values)
     if latch is not None:
         turn = _steps(target.joint(latch.joint), target.values()[latch.joint], latch.to, config)

@@ -21,7 +21,7 @@ from momapos.core import (
     parse_quantity,
 )
 from momapos.core.geometry import apply
-from momapos.model.records import Task, Verb
+from momapos.model.records import JointVerb, Task, Verb
 from momapos.model.scene import (
     ResistanceConfig,
     Scene,
@@ -64,13 +64,14 @@ def make_task(
 
     Args:
         scene: The scene.
-        verb: open, close, pick or place.
+        verb: open, close, press, pick or place.
         object_name: The object, or object and joint as in "fridge/door_hinge".
         joint: The joint; optional if only one part has a handle. A mimic joint stands for its
             leader, whose limits then count.
         to: Value to reach, as a number [rad] or [m] or a text with a unit such as "90deg" or
             "30cm"; a quarter turn or the whole slide by default, or less if the part meets the
-            floor. "max" opens the part as far as possible; the plan contains the value.
+            floor; to press, the limit that is farther away. "max" opens the part as far as
+            possible; the plan contains the value.
 
     Raises:
         TaskDoneError: The part is already where the task would move it.
@@ -86,7 +87,7 @@ def make_task(
     if not isinstance(verb, str) or verb not in get_args(Verb):
         raise TaskError(f"no verb {verb!r}; it must be one of {', '.join(get_args(Verb))}")
     target = scene.object(object_name)
-    if verb in ("pick", "place"):
+    if verb not in get_args(JointVerb):
         if joint is not None or to is not None:
             raise TaskError(f"{verb} moves a whole object; leave out joint and to")
         if target.model.joints:
@@ -208,6 +209,11 @@ def _is_knob(target: SceneObject, joint: str) -> bool:
 
 def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
     opening = opening_of(model, joint.name)
+    if verb == "press":
+        ends = (joint.lower, joint.upper)
+        if not np.isfinite(ends).all():
+            raise TaskError(f"{joint.name} has no limits; give how far to press it with to")
+        return max(ends, key=lambda end: (round(abs(end - start), 6), end))
     if verb == "close":
         return opening.closed
     goal = opening.closed + opening.sign * WIDE_OPEN
@@ -219,10 +225,10 @@ def _goal(model: Articulated, joint: Joint, verb: str, start: float) -> float:
 
 def _limit(target: SceneObject, joint: Joint, verb: str, start: float) -> float:
     """Return the value at which a part is wide open, or as far as a task may move it."""
-    if verb == "close":
+    if verb != "open":
         raise TaskError(
-            f"{target.name}/{joint.name}: to={MAX} is only for open; leave out to, since close "
-            "always closes a part completely"
+            f"{target.name}/{joint.name}: to={MAX} is only for open; leave out to, since {verb} "
+            "always moves a part completely"
         )
     opening, most = opening_of(target.model, joint.name), _longest(joint)
     return opening.wide if abs(opening.wide - start) <= most else start + opening.sign * most
@@ -286,14 +292,17 @@ def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal
     opens = abs(goal - closed) > abs(start - closed)
     if abs(goal - start) < LIMIT_TOLERANCE:
         state = "closed" if abs(goal - closed) < LIMIT_TOLERANCE else "open"
-        raise TaskDoneError(f"{where}: already {state}, at {_in_words(joint, goal)}")
+        state = "pressed" if verb == "press" else state
+        small = verb == "close" and _is_knob(target, joint.name)
+        advice = "; press pushes a button or a switch" if small else ""
+        raise TaskDoneError(f"{where}: already {state}, at {_in_words(joint, goal)}{advice}")
     longest = _longest(joint)
     if abs(goal - start) > longest + LIMIT_TOLERANCE:
         raise TaskError(
             f"{where}: from {start:g} to {goal:g} {unit} is too far; a part moves at most "
             f"{longest:.4g} {unit}" + ("" if joint.kind == "prismatic" else " (a full turn)")
         )
-    if opens != (verb == "open"):
+    if verb != "press" and opens != (verb == "open"):
         word = "open" if opens else "close"
         raise TaskError(f"{where}: from {start:g} to {goal:g} {unit} means to {word} it")
 

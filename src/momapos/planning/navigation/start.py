@@ -16,7 +16,7 @@ from momapos.core.geometry import all_inside, place_points
 from momapos.model.collision import FREE, base_hits
 from momapos.model.records import Task
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, scene_after
 from momapos.model.urdf import Boxes
 
 from .convex_polygons import ConvexPolygons, obstacles_of, on_floor, pack, prisms_of
@@ -62,7 +62,7 @@ def outlines_after(scene: Scene, robot: Robot, task: Task) -> ConvexPolygons:
     """
     if task.joint is None or task.to is None:
         return pack([], [], [])
-    after = scene.with_joint(task.object, task.joint, task.to)
+    after = scene_after(scene, task)
     return obstacles_of(replace(after, objects=(after.object(task.object),)), prisms_of(robot))
 
 
