@@ -91,7 +91,7 @@ def placement_stream(
     Args:
         scene: The scene; the stream moves its object to the given pose.
         robot: The mobile manipulator.
-        verb: open, close, pick or place.
+        verb: open, close, press, pick or place.
         to: Joint value to reach, see `make_task`.
         reach: The robot's reachability map; None to load it.
         start: Initial base pose x [m], y [m], yaw [rad]; the scene's start by default.
