@@ -19,6 +19,7 @@ from __future__ import annotations
 import csv
 import io
 import logging
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -32,6 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from momapos.core import (
+    GRAVITY,
     InputError,
     as_path,
     check_fields,
@@ -42,7 +44,7 @@ from momapos.core import (
     write_atomic,
 )
 
-from .records import Motion, PlacementPlan, Verb
+from .records import Motion, PlacementPlan, Task, Verb
 from .robots import Robot
 
 if TYPE_CHECKING:
@@ -470,6 +472,10 @@ DEFAULT_SPEED = 1.5
 """Speed limit of joints without a limit in the URDF [rad/s] or [m/s]."""
 
 
+MAX_SURFACE_TILT = math.radians(60.0)
+"""Tilt of a level from which on it does not limit the speed [rad]."""
+
+
 @dataclass(frozen=True)
 class SpeedConfig:
     """How fast the arm moves."""
@@ -490,6 +496,17 @@ class SpeedConfig:
     def __post_init__(self) -> None:
         check_fields(self)
         refuse_below(self, MIN_SPEED, *(item.name for item in fields(self)))
+
+    def for_task(self, task: Task) -> SpeedConfig:
+        """Return the speeds at which an object in the hand stays level, if the task asks for that.
+
+        The surface of a liquid tilts by the angle whose tangent is the acceleration over that of
+        gravity. It may take half of the allowed tilt; the hand takes the rest.
+        """
+        if task.level is None:
+            return self
+        most = GRAVITY * math.tan(min(task.level, MAX_SURFACE_TILT) / 2)
+        return replace(self, carry_acceleration=min(self.carry_acceleration, most))
 
 
 @compare_by_content
@@ -560,6 +577,7 @@ def time_plan(
             f"plan is for {plan.robot_name} with joints {', '.join(plan.joints)}, not for robot "
             f"{robot.name}"
         )
+    config = config.for_task(plan.task)
     approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
     base, base_v = manipulation.base, manipulation.base_v
     if base is not None and base_v is not None:  # it stands still in the approach
@@ -583,6 +601,7 @@ def with_times(
     """Return a plan with a time for each of its arm states, see `time_plan`."""
     if plan.motion is None:
         return plan
+    config = config.for_task(plan.task)
     approach, manipulation = time_motion(robot, plan.motion, config, step, verb=plan.task.verb)
     times = manipulation.state_times
     motion = replace(

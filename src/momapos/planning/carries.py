@@ -113,7 +113,8 @@ def carries_for(query: PlacementQuery, scene: Scene, name: str, place: str | Non
             continue
         fails_alone = False
         same = _same(picks, _grasps(there.motion, T))
-        same[:, payload_hits_at_home(query.robot, there.motion) >= 0] = False
+        if query.config.motion.level is None:
+            same[:, payload_hits_at_home(query.robot, there.motion) >= 0] = False
         i, j = np.nonzero(same)
         if len(i):
             count = np.minimum(within[i], _reached(query, there)[j])

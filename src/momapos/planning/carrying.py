@@ -18,7 +18,7 @@ from momapos.core.geometry import signed_area
 from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import carrying_states, payload_hits_at_home
+from momapos.planning.arm_motion import carrying_home, carrying_states, payload_hits_at_home
 from momapos.planning.grasps import GraspFilter, TaskMotion
 from momapos.planning.navigation import (
     HeldObject,
@@ -56,7 +56,7 @@ class Carrying:
 
     def maps(self, grasp: int) -> Iterator[NavigationMap]:
         """Yield where the robot fits with the object in a grasp, for each state of its arm."""
-        if self._fits_at_home[grasp]:
+        if self._fits_at_home(grasp):
             yield self._at_home(grasp)
         yield from self._others.get(grasp, ())
 
@@ -88,12 +88,18 @@ class Carrying:
     @property
     def reason(self) -> str:
         """Return why no grasp can be carried; "" if one may."""
-        if self._fits_at_home.any() or self._others:
+        if any(map(self._fits_at_home, range(len(self._held)))) or self._others:
             return ""
         return f"no state of the arm is free of collision with {self.query.task.object} in the hand"
 
+    def _fits_at_home(self, grasp: int) -> bool:
+        motion, robot = self.prepared.motion, self.query.robot
+        if motion.task.level is None:
+            return bool(self._free_at_home[grasp])
+        return carrying_home(robot, motion, grasp) is not None
+
     @cached_property
-    def _fits_at_home(self) -> np.ndarray:
+    def _free_at_home(self) -> Bool[np.ndarray, " g"]:
         return payload_hits_at_home(self.query.robot, self.prepared.motion) < 0
 
     @cached_property
@@ -112,7 +118,9 @@ class Carrying:
 
     def _at_home(self, grasp: int) -> NavigationMap:
         if grasp not in self._known:
-            self._known[grasp] = self._map(grasp, self.query.robot.home)
+            home = carrying_home(self.query.robot, self.prepared.motion, grasp)
+            assert home is not None
+            self._known[grasp] = self._map(grasp, home)
         return self._known[grasp]
 
     def _map(self, grasp: int, q: Float[np.ndarray, " n"]) -> NavigationMap:
@@ -129,7 +137,8 @@ class Carrying:
 
         A path home ends where the approach begins, so that there are none with it.
         """
-        if self.query.from_home or self.query.config.motion.home_again:
+        level = self.prepared.motion.task.level
+        if level is not None or self.query.from_home or self.query.config.motion.home_again:
             return {}
         robot, count = self.query.robot, len(self._held)
         grasps, states, sizes = [], [], []

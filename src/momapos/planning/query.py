@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, TypedDict
@@ -15,6 +16,7 @@ from momapos.core import (
     Clock,
     InputError,
     Stopwatch,
+    TaskError,
     as_path,
     expect,
     expect_callable,
@@ -26,7 +28,7 @@ from momapos.core import (
 )
 from momapos.model.records import ANYWHERE, BaseRegion, PoseOutcome, ReachScorer, Task
 from momapos.model.robots import Robot, with_closed_hand
-from momapos.model.scene import Scene
+from momapos.model.scene import Scene, SceneObject
 from momapos.planning.grasps import GraspFilter
 from momapos.planning.navigation import (
     ConvexPolygons,
@@ -134,6 +136,10 @@ class PlacementQuery:
         if self.task.joint is not None:
             loaded = self.scene.with_contents(self.task.object, self.task.joint)
             object.__setattr__(self, "scene", loaded)
+        level = self.config.motion.level
+        if level is not None and self.task.joint is None:
+            _refuse_tilted(self.scene.object(self.task.object), level)
+            object.__setattr__(self, "task", replace(self.task, level=math.radians(level)))
         if self.task.verb == "press":
             object.__setattr__(self, "robot", with_closed_hand(self.robot))
         if not hasattr(self.reach, "min_score"):
@@ -285,3 +291,18 @@ def as_query(
     if not {"robot", "task"} <= set(parts):
         raise InputError("scene, robot and task are needed, or a PlacementQuery")
     return PlacementQuery.of(first, **parts)  # type: ignore[arg-type]
+
+
+def _refuse_tilted(item: SceneObject, level: float) -> None:
+    """Refuse to keep an object level that does not stand upright.
+
+    Raises:
+        TaskError: It is tilted by more than the level [deg].
+    """
+    cosine = float(np.clip(item.T_world_object[2, 2], -1.0, 1.0))
+    tilt = math.degrees(math.acos(cosine))
+    if tilt > level:
+        raise TaskError(
+            f"{item.name} is tilted by {tilt:.0f} deg in the scene, more than the {level:g} deg to "
+            "which it is to stay level"
+        )

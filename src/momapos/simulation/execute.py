@@ -345,6 +345,7 @@ def _stretches(
     robot: Robot, motion: Motion, task: Task, config: ExecutionConfig, room: Simulation
 ) -> list[Stretch]:
     """Time the sections of a motion."""
+    config = replace(config, speed=config.speed.for_task(task))
     step, latched = config.timestep * SUBSTEPS, motion.latch_q is not None
     stretches = []
     for index, (first, last, held) in enumerate(cuts_of(motion)):
@@ -381,7 +382,7 @@ def _approach(
 ) -> PacedTrajectory:
     """Return the approach, slow where the arm is near the known room."""
     step = config.timestep * SUBSTEPS
-    plan, _ = time_motion(robot, motion, config.speed, step, verb=task.verb)
+    plan, _ = time_motion(robot, motion, config.speed.for_task(task), step, verb=task.verb)
     path = motion.approach if len(motion.approach) else motion.q[:1]
     kinematics = ArmKinematics(room)
     tool = np.array([kinematics.at(q)[0][:3, 3] for q in path])

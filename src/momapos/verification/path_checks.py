@@ -12,7 +12,7 @@ import numpy as np
 
 from momapos.core.geometry import invert, rotation_about, rotation_angle, wrap_angle
 from momapos.model import deviation
-from momapos.model.records import Hold, Motion, ToolPose
+from momapos.model.records import Hold, Motion, Task, ToolPose
 
 from .link_bodies import following
 from .moved_part import MovedPart
@@ -82,11 +82,38 @@ def _coordinates(motion: Motion) -> Float[np.ndarray, "s c"]:
     return np.column_stack([q, np.concatenate([others, rest])])
 
 
-def home_checks(motion: Motion, limits: Limits) -> Iterator[Check]:
-    """Check that the path home ends where the approach starts."""
-    if motion.home is not None and len(motion.approach):
+def home_checks(task: Task, motion: Motion, limits: Limits) -> Iterator[Check]:
+    """Check that the path home ends where the approach starts, unless an object must stay level.
+
+    The arm holds it on one of the two, in a state in which it is level.
+    """
+    if motion.home is not None and len(motion.approach) and task.level is None:
         gap = np.abs(motion.home[-1] - motion.approach[0]).max()
         yield at_most("path home ends where the approach starts", gap, limits.join, "rad|m")
+
+
+def level_checks(
+    task: Task, path: DensePath, Ts_world_body: Float[np.ndarray, "s b 4 4"], limits: Limits
+) -> Iterator[Check]:
+    """Check that the object of a task stays as level as the task asks for.
+
+    Args:
+        task: The task.
+        path: The interpolated states.
+        Ts_world_body: Pose of the object at each, as its only body.
+        limits: Allowed excess of the tilt, that of a joint limit.
+    """
+    if task.level is None:
+        return
+    R = Ts_world_body[:, 0, :3, :3]
+    standing = R[-1] if task.verb == "place" else R[0]
+    tilt = np.arccos(np.clip((R @ standing.T)[:, 2, 2], -1.0, 1.0))
+    worst = int(tilt.argmax())
+    most, found = (f"{math.degrees(value):.0f} deg" for value in (task.level, tilt[worst]))
+    yield at_most(
+        "object in the hand is level (excess)", tilt[worst] - task.level, limits.joint, "rad",
+        f"{path.where(worst)}: {found} of {most}",
+    )  # fmt: skip
 
 
 def count_states(motion: Motion, step: float) -> float:

@@ -471,5 +471,5 @@ def joint_number_checks(verifier: PlanVerifier, motion: Motion) -> Iterator[Chec
     yield from paths.object_checks(part, motion, limits)
     yield from latch_checks(part, motion, limits)
     yield from paths.joint_checks(robot, motion, limits)
-    yield from paths.home_checks(motion, limits)
+    yield from paths.home_checks(verifier.task, motion, limits)
     yield from time_checks(robot, motion, limits)

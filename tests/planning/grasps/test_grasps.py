@@ -22,7 +22,14 @@ from momapos.planning.grasps.config import GraspConfig, MotionConfig
 from momapos.planning.grasps.grasp_families import Grasps
 from momapos.planning.grasps.hand_boxes import hand_of
 from momapos.planning.grasps.handle_shapes import CarriedPart, part_elements
-from momapos.planning.grasps.handles import HandleKind, HandleSource, find_handle, find_handles
+from momapos.planning.grasps.handles import (
+    HandleKind,
+    HandleSource,
+    find_handle,
+    find_handles,
+    front_face,
+    front_part,
+)
 from momapos.planning.grasps.part_grasps import grasps_of, pinch_capacity, push_grasps
 from momapos.planning.grasps.part_motion import motion_direction
 from momapos.planning.grasps.task_motions import TaskMotion, task_motion, with_other_handle
@@ -236,9 +243,10 @@ def test_a_free_edge_is_grasped_only_where_fingers_get_behind_it(
 
 def test_a_door_is_closed_by_pushing_its_front(robot: Robot, tmp_path: Path) -> None:
     model = changed(tmp_path).object("cabinet").model
-    pushed = push_grasps(robot, model, "hinge", 1.0, CONFIG)
-    face, found = pushed
+    face = front_face(front_part(model, "hinge", 1.0), 1.0)
+    assert face is not None
     assert face.kind is HandleKind.FACE
+    found = push_grasps(robot, model, "hinge", 1.0, face, CONFIG)
     assert len(found.code)
     for T, point in zip(found.Ts_part_tool, found.point, strict=True):
         into = T[:3, :3] @ robot.approach_axis

@@ -49,7 +49,7 @@ def test_closing_returns_to_the_closed_value(kitchen: Scene) -> None:
         ("close", "microwave", "door_hinge", None, "already closed"),
         ("pick", "fridge", None, None, "rigid objects"),
         ("pick", "cup", "door", None, "leave out"),
-        ("turn", "microwave", None, None, "one of open, close, pick, place"),
+        ("turn", "microwave", None, None, "one of open, close, press, pick, place"),
     ],
 )
 def test_an_invalid_request_is_refused_in_one_line(

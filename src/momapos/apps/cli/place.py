@@ -201,6 +201,8 @@ class Options(SearchOptions):
     grasps: GraspsArg = None
     """Use only these grasps of your own: poses of the tool in the frame of what the task moves, or
     in FRAME (world, an object, a part); also files of GraspGen, Isaac Sim, GraspNet and GPD."""
+    level: ValueArg = None
+    """Largest tilt of an object in the hand, such as 15deg for a full cup (default: any)."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = DEFAULT_SAMPLES
@@ -224,8 +226,8 @@ class Options(SearchOptions):
 
         Raises:
             InputError: A setting is unknown, or out of range.
-            TaskError: --robust is not a length and an angle, --base not a known word, or --lift not
-                a length.
+            TaskError: --robust is not a length and an angle, --base not a known word, --lift not a
+                length, or --level not an angle.
         """
         config = self.load_config(self.settings, SETTINGS).pipeline
         if self.base is not None:
@@ -236,6 +238,9 @@ class Options(SearchOptions):
         if self.grasps is not None and config.motion.grasps.own == "too":
             grasps = replace(config.motion.grasps, own="only")
             config = replace(config, motion=replace(config.motion, grasps=grasps))
+        if self.level is not None:
+            level = math.degrees(parse_quantity(self.level).angle("--level:"))
+            config = replace(config, motion=replace(config.motion, level=level))
         if self.robust is None:
             return config
         radius, turn = parse_robust(self.robust)
@@ -487,8 +492,9 @@ def _answer(
 ) -> int:
     if to is not None and to != MAX:
         parse_quantity(to)
-    if options.lift is not None and verb not in ("pick", "place"):
-        raise TaskError(f"--lift is for what is picked up or placed; {verb} lifts nothing")
+    for option in ("lift", "level"):
+        if getattr(options, option) is not None and verb not in ("pick", "place"):
+            raise TaskError(f"--{option} is for what the hand carries; {verb} carries nothing")
     config = options.read_config()
     name, _, joint = target.partition("/")
     try:

@@ -88,7 +88,7 @@ def phases_of(
     if plan.motion is None or plan.base_pose is None:
         raise InputError(f"the plan is {plan.status!r}: it has no motion to export")
     motion, base, verb = plan.motion, np.array(plan.base_pose), plan.task.verb
-    robot = opened_as(robot, plan.robot_rest)
+    robot, speeds = opened_as(robot, plan.robot_rest), speeds.for_task(plan.task)
     q, now = _first(motion), _Now.of(motion)
     phases: list[Phase] = []
     if robot.fully_open is not None and verb != "place":
@@ -108,7 +108,9 @@ def phases_of(
             q, now = last.positions[-1], _Now(float(last.object_q[-1]), float(last.latch_q[-1]))
     if motion.home is not None:
         section = now.rests(np.concatenate([motion.q[-1:], motion.home]))
-        phases.append(_section(section, verb, base, robot, speeds, step))
+        # What was picked up is in the hand, as before something is placed.
+        carried: Verb = "place" if verb == "pick" else "open"
+        phases.append(_section(section, carried, base, robot, speeds, step))
     return tuple(phases)
 
 

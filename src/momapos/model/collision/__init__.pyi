@@ -37,9 +37,12 @@ from .spheres import build_spheres as build_spheres
 from .spheres import carry as carry
 from .spheres import neighbors as neighbors
 from .spheres import reposed as reposed
+from .straight_motions import ANY_TILT as ANY_TILT
 from .straight_motions import HandLoad as HandLoad
 from .straight_motions import MotionArrays as MotionArrays
 from .straight_motions import StraightMotions as StraightMotions
+from .straight_motions import Upright as Upright
 from .straight_motions import build_motions as build_motions
 from .straight_motions import motion_hit as motion_hit
 from .straight_motions import motion_scratch as motion_scratch
+from .straight_motions import up_of as up_of

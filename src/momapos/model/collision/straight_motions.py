@@ -132,6 +132,19 @@ class HandLoad(NamedTuple):
     """Where it acts, in the tool frame [m]."""
 
 
+class Upright(NamedTuple):
+    """How upright the hand stays."""
+
+    axis: F1
+    """Direction in the frame of the last moved link that points up where the hand is upright."""
+    cosine: float
+    """Least cosine of its tilt; -1 for any tilt."""
+
+
+ANY_TILT = -1.0
+"""The least cosine, with which no tilt is too large [-]."""
+
+
 class MotionArrays(NamedTuple):
     """`StraightMotions`."""
 
@@ -141,6 +154,7 @@ class MotionArrays(NamedTuple):
     chain: ChainArrays
     room: CollisionArrays
     load: HandLoad
+    upright: Upright
     fine: bool
 
 
@@ -191,8 +205,20 @@ def _overloaded(q, motion, scratch):
 
 
 @kernel
+def up_of(R, upright):
+    """Return where the upright direction points in the world, for rotations from `place_arm`."""
+    last = R[len(R) - 1]
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(3):
+        x += last[0, k] * upright.axis[k]
+        y += last[1, k] * upright.axis[k]
+        z += last[2, k] * upright.axis[k]
+    return x, y, z
+
+
+@kernel
 def motion_hit(a, b, motion, known, scratch):
-    """Return whether the straight motion from a to b collides, or overloads the robot.
+    """Return whether the straight motion from a to b collides, tilts or overloads the robot.
 
     Args:
         a, b: Configurations (n,).
@@ -228,13 +254,16 @@ def _round_hit(a, b, motion, steps, first, rounds, scratch):
     if doubt == HIT:
         return True
     loaded = len(motion.load.limits.limit) > 0
+    level = motion.upright.cosine > ANY_TILT
     for lane in range(LANES):
         self_near, box_near = (doubt >> lane) & 1, (near >> lane) & 1
-        if not (loaded or self_near or box_near):
+        if not (loaded or level or self_near or box_near):
             continue
         _interpolate(a, b, steps, first + rounds * lane, q)
         place_arm(q, motion.base, chain, room.spheres, scratch.arm)
         R, p, bounds = scratch.arm
+        if level and up_of(R, motion.upright)[2] < motion.upright.cosine:
+            return True
         if box_near and hulls_hit(R, p, bounds, motion.state, room):
             return True
         if self_near and hit_self(R, p, bounds, room.spheres) == SELF:
@@ -287,6 +316,7 @@ def build_motions(
     holding: bool,
     step: float,
     load: HandLoad | None = None,
+    upright: Upright | None = None,
     extra_clearance: float = 0.0,
     fine: bool = False,
 ) -> StraightMotions:
@@ -300,6 +330,7 @@ def build_motions(
         holding: Whether the gripper may touch the grasped part.
         step: Largest joint step between checked states [rad] or [m].
         load: What the motors and the base have to bear; None if they bear anything.
+        upright: How upright the hand stays; None for any tilt.
         extra_clearance: Clearance in addition to that of the world, also from itself [m].
         fine: Whether hulls decide where spheres hit a box, which takes longer. Spheres protrude by
             up to two centimeters.
@@ -312,6 +343,7 @@ def build_motions(
     return StraightMotions(
         MotionArrays(
             np.array(base, float), TaskState(value, holding), step, chain_arrays(chain),
-            collision_arrays(grown, world), load, fine,
+            collision_arrays(grown, world), load,
+            upright or Upright(np.array([0.0, 0.0, 1.0]), ANY_TILT), fine,
         )
     )  # fmt: skip

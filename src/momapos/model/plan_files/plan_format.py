@@ -342,7 +342,7 @@ def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
 def _task_to_dict(task: Task) -> dict[str, Any]:
     members = asdict(task)
     members["object"] = task.object or None
-    for name in ("follower", "poses"):
+    for name in ("follower", "poses", "level"):
         if not members[name]:
             del members[name]
     return members

@@ -60,6 +60,8 @@ class PlanTask(msgspec.Struct):
     """Joint that the user named, which follows `joint`; empty if none."""
     poses: tuple[ToolPose, ...] = ()
     """Tool poses to reach; each of `manipulation.holds` is the state at one of them."""
+    level: float | None = None
+    """Largest tilt of the object in the hand [rad]; null for any."""
 
 
 class PlanPose(msgspec.Struct):

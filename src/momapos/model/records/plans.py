@@ -5,6 +5,7 @@ All values are in SI units, in the world frame unless a field names another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
@@ -96,6 +97,10 @@ RequestVerb = Literal[Verb, "bring"]
 """What can be requested; to bring an object is to pick it up and to place it."""
 
 
+MIN_LEVEL = math.radians(1.0)
+"""Least tilt that can be asked for: arms deviate from their paths by tenths of a degree [rad]."""
+
+
 @dataclass(frozen=True)
 class Task:
     """What must be done; `make_task` makes one.
@@ -118,6 +123,9 @@ class Task:
     """The requested joint, if it is a mimic joint that follows `joint`."""
     poses: tuple[ToolPose, ...] = ()
     """The tool poses to reach, in their order in a plan; none for other verbs."""
+    level: float | None = None
+    """Largest tilt of the object in the hand from how it stands, as of a full cup [rad]; None for
+    any."""
 
     def __post_init__(self) -> None:
         one_of("Task.verb", self.verb, get_args(Verb))
@@ -131,6 +139,9 @@ class Task:
             expect("Task.joint", self.joint, str)
         if self.to is not None:
             object.__setattr__(self, "to", finite_number("Task.to", self.to))
+        if self.level is not None:
+            level = finite_number("Task.level", self.level, MIN_LEVEL, math.pi)
+            object.__setattr__(self, "level", level)
 
     @property
     def pose_names(self) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from .config import PlannerConfig
 from .free_turn import find_short_paths, smooth_posture
 from .hand_clearance import arm_spheres
 from .ik_layers import TaskLoads
-from .payload import with_payload
+from .payload import carrying_home, upright_of, with_payload
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -282,11 +282,12 @@ class Feasibility:
         checker = partial(
             build_motions, self.world, chain, spheres, base, value=int(self.motion.value[0]),
             holding=self._carrying, step=RESOLUTION,
+            upright=upright_of(self.robot, self.motion, grasp) if self._carrying else None,
         )  # fmt: skip
         screened = q
         outcome = PoseOutcome(PoseStatus.NO_ROUTE_CARRYING, self.motion.task.object)
         approach: Float[np.ndarray, "k n"] | None = None
-        for begun in (self.robot.home,) if self.homes is None else self.homes(base, grasp):
+        for begun in self._begins(base, grasp):
             outcome = PoseOutcome(PoseStatus.NO_APPROACH)
             q = near_home(screened, begun, chain.lower, chain.upper)
             q = self.with_smooth_posture(base if bases is None else bases, q, grasp)
@@ -321,6 +322,19 @@ class Feasibility:
         if refusal is not None:
             return None, self.refused(grasp, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
+
+    def _begins(self, base: Float[np.ndarray, "3"], grasp: int) -> Iterable[np.ndarray]:
+        """Yield the arm states in which the robot arrives at a base pose."""
+        if self.homes is not None:
+            yield from self.homes(base, grasp)
+            return
+        begun = self.robot.home
+        if self._carrying:
+            carried = carrying_home(self.robot, self.motion, grasp)
+            if carried is None:
+                return
+            begun = carried
+        yield begun
 
     def with_smooth_posture(
         self, base: Float[np.ndarray, "*d 3"], q: Float[np.ndarray, "d n"], grasp: int
@@ -362,18 +376,24 @@ class Feasibility:
             self.robot.spheres.by_hulls,
             -1,
         )
+        home, upright = self.robot.home, None
         if motion.task.verb == "pick":
             T = motion.Ts_world_tool[grasp, last]
             spheres = with_payload(self.robot, motion, T, last)
+            upright = upright_of(self.robot, motion, grasp)
+            carried_home = carrying_home(self.robot, motion, grasp)
+            if carried_home is None:
+                return None
+            home = carried_home
         # A hand that pushed has not retracted from the part.
         pushes = motion.task.joint is not None and motion.release_step is None
         checker = partial(
             build_motions, self.world, chain, spheres, base, value=int(motion.value[last]),
-            holding=pushes or motion.task.verb == "pick", step=RESOLUTION,
+            holding=pushes or motion.task.verb == "pick", step=RESOLUTION, upright=upright,
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
         config = brief_config(self.planner)
-        ends = q, self.robot.home
+        ends = q, home
         path = self._path(*ends, checker, carried, config, self.seed + grasp, np.empty((0, len(q))))
         return None if path is None else chain.joint_values(path[1:])
 

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import owner_cache
 from momapos.core.geometry import apply, halton, invert
 from momapos.model.collision import (
     FREE,
     CollisionWorld,
     Spheres,
+    Upright,
     base_hits,
     box_spheres,
     build_world,
@@ -33,6 +35,12 @@ if TYPE_CHECKING:
 
 SAMPLES = 2048
 """Number of arm states among which those that can carry an object are sought [-]."""
+LEVEL_RADII = (0.3, 0.6, 1.0, 2.0, 3.0)
+"""Largest differences of joints from home among which a level state is sought [rad] or [m]."""
+LEVEL_STEPS = 6
+"""Newton steps toward such a state; each leaves about the square of the tilt [-]."""
+LEVEL_SHARE = 0.95
+"""Share of the allowed tilt that plans use: between states of a path it may be larger [-]."""
 WRIST = 3
 """Number of the last joints; in half of the samples only these differ from home [-]."""
 
@@ -89,11 +97,90 @@ def payload_hits_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " 
         links = spheres.center[rows] @ R[segment].T + p[segment]
         gap = np.linalg.norm(points[:, :, None] - links, axis=-1) - radius[:, None]
         touched[(gap < spheres.radius[rows]).any((1, 2))] = k
+    touched[_meets_base(robot, points, radius)] = len(spheres.segment)
+    return touched
+
+
+def _meets_base(
+    robot: Robot, points: Float[np.ndarray, "g k 3"], radius: Float[np.ndarray, " k"]
+) -> Bool[np.ndarray, " g"]:
+    """Check which sets of spheres at points in the base frame touch the base."""
     base = robot.base
     local = np.abs(np.einsum("bij,gkbi->gkbj", base.rotation, points[:, :, None] - base.center))
     apart = np.linalg.norm(np.maximum(local - base.half, 0.0), axis=-1)
-    touched[(apart < radius[:, None]).any((1, 2))] = len(spheres.segment)
-    return touched
+    return np.asarray((apart < radius[:, None]).any((1, 2)))
+
+
+@owner_cache(64)
+def carrying_home(robot: Robot, motion: TaskMotion, grasp: int) -> Float[np.ndarray, " n"] | None:
+    """Return the arm state in which a robot drives with an object in a grasp, before or after.
+
+    That is home, or with a level the state nearest to home in which the object is level, and free
+    of robot and hand; None if there is none.
+
+    Args:
+        robot: The robot.
+        motion: The task motion, which picks the object up or places it.
+        grasp: The grasp.
+    """
+    upright = upright_of(robot, motion, grasp)
+    if upright is None:
+        return robot.home
+    chain, home = robot.chain, robot.home
+    low = np.where(np.isfinite(chain.lower), chain.lower, home - np.pi)
+    high = np.where(np.isfinite(chain.upper), chain.upper, home + np.pi)
+    spread = 2.0 * halton(SAMPLES, chain.size) - 1.0
+    reach = np.repeat(LEVEL_RADII, -(-SAMPLES // len(LEVEL_RADII)))[:SAMPLES, None]
+    q = np.clip(home + reach * spread, low, high)
+    q[0] = home
+    q = _leveled(robot, upright, q, low, high)
+    q = q[np.argsort(np.linalg.norm(q - home, axis=1), kind="stable")]
+    step = motion.grasp_step
+    spheres = with_payload(robot, motion, motion.Ts_world_tool[grasp, step], step)
+    nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
+    empty = build_world(Boxes.join([]), nothing, np.zeros(0, bool), [], spheres, clearance=0.0)
+    none = np.zeros(len(q), np.int64)
+    codes = check(empty, chain, spheres, q, np.zeros((len(q), 3)), none, none == 0)
+    center, radius = _object_spheres(motion, step)
+    in_tool = apply(invert(motion.Ts_world_tool[grasp, step]), center)
+    q = q[(codes == FREE) & ~_meets_base(robot, apply(chain.tool_poses(q), in_tool), radius)]
+    borne = ~TaskLoads(robot, motion).free(q, (grasp, step)).refused if len(q) else none > 0
+    return q[borne][0] if borne.any() else None
+
+
+def upright_of(robot: Robot, motion: TaskMotion, grasp: int) -> Upright | None:
+    """Return how upright the hand stays with the object of a task in a grasp; None for any tilt."""
+    level = motion.task.level
+    if level is None:
+        return None
+    up = motion.Ts_world_tool[grasp, motion.grasp_step, 2, :3]
+    return Upright(robot.chain.tool_rotation @ up, float(np.cos(LEVEL_SHARE * level)))
+
+
+def _leveled(
+    robot: Robot,
+    upright: Upright,
+    q: Float[np.ndarray, "k n"],
+    low: Float[np.ndarray, " n"],
+    high: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "m n"]:
+    """Move arm states by Newton steps to ones in which the hand is upright; drop the others."""
+    chain, small = robot.chain, 1e-5
+    axis = chain.tool_rotation.T @ upright.axis
+
+    def up(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 3"]:
+        return np.asarray(chain.tool_poses(q)[:, :3, :3] @ axis)
+
+    for _ in range(LEVEL_STEPS):
+        now = up(q)
+        moved = np.repeat(q[:, None], chain.size, axis=1) + small * np.eye(chain.size)
+        slope = (up(moved.reshape(-1, chain.size)).reshape(*q.shape, 3) - now[:, None]) / small
+        J, away = slope[..., :2], now[:, :2]
+        away = np.where(now[:, 2:] > 0.0, away, away / np.linalg.norm(away, axis=1, keepdims=True))
+        square = np.einsum("kni,knj->kij", J, J) + 1e-4 * np.eye(2)
+        step = np.linalg.solve(square, away[..., None])
+        q = np.clip(q - (J @ step)[..., 0], low, high)
+    return q[up(q)[:, 2] > 1.0 - (1.0 - upright.cosine) / 4]
 
 
 def carrying_states(

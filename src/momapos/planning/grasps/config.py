@@ -70,6 +70,8 @@ MAX_GRASPS, MAX_WAYPOINTS = 100_000, 2_000
 """Bounds of the counts; 2,000 waypoints with their steps are half the states of a plan [-]."""
 MAX_LIFT = 1.0
 """Largest height by which an object is lifted [m]."""
+MIN_LEVEL, MAX_LEVEL = 1.0, 180.0
+"""Bounds of the tilt: arms deviate from their paths by tenths of a degree [deg]."""
 SUBSTEPS = 4
 """Number of steps per waypoint; all are checked [-]."""
 
@@ -87,6 +89,9 @@ class MotionConfig:
     lift: Optional[float] = None  # noqa: UP045 (see cli.options)
     """Height by which a rigid object is lifted, or let down; None for 5 cm, or less where it would
     hit something [m]."""
+    level: Optional[float] = None  # noqa: UP045
+    """Largest tilt of an object in the hand from how it stands, as of a full cup: on every path of
+    the arm, and while the base drives; None for any [deg]."""
     home_again: bool = False
     """Whether the hand releases the part at the end and the arm returns home, with a picked object,
     as before another task."""
@@ -100,4 +105,7 @@ class MotionConfig:
         if self.lift is not None:
             refuse_below(self, 0.0, "lift")
         refuse_above(self, MAX_LIFT, "lift")
+        if self.level is not None:
+            refuse_below(self, MIN_LEVEL, "level")
+        refuse_above(self, MAX_LEVEL, "level")
         refuse_above(self, MAX_WAYPOINTS, "waypoints")

@@ -228,7 +228,7 @@ def _limit(target: SceneObject, joint: Joint, verb: str, start: float) -> float:
     if verb != "open":
         raise TaskError(
             f"{target.name}/{joint.name}: to={MAX} is only for open; leave out to, since {verb} "
-            "always moves a part completely"
+            f"always {verb}{'s' if verb == 'close' else 'es'} a part completely"
         )
     opening, most = opening_of(target.model, joint.name), _longest(joint)
     return opening.wide if abs(opening.wide - start) <= most else start + opening.sign * most
