@@ -62,7 +62,7 @@ def plan_chain(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
         UnknownNameError: There is no such object or joint.
         OutOfTimeError: The time was over before the first task had an answer.
     """
-    requests = expanded(requests)
+    requests = expanded(requests, query.scene)
     with query.in_time():
         best = plan_requests(query, requests)
     began = query.watch.clock() - best.seconds

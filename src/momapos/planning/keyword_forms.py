@@ -245,7 +245,7 @@ def plan_tour(
     tasks = [_request(one) for one in requests]
     if not tasks:
         raise TaskError(f"a tour has 1 to {MAX_TASKS} tasks, not 0")
-    first = make_task(scene, *expanded(tasks)[0])
+    first = make_task(scene, *expanded(tasks, scene)[0])
     return plan_chain(as_query(scene, (robot, first, reach), options), tasks)
 
 

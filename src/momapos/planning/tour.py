@@ -23,7 +23,7 @@ from momapos.model.records import (
     status_of_all,
 )
 from momapos.model.scene import Scene, copied, save_scene, scene_after
-from momapos.planning.grasps import GraspFilter, make_task
+from momapos.planning.grasps import GraspFilter, make_task, turns_to
 from momapos.planning.placement import (
     BaseStatus,
     PoseMask,
@@ -151,7 +151,7 @@ def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:
     """
     clock = query.watch.clock
     began = clock()
-    requests = expanded(requests)
+    requests = expanded(requests, query.scene)
     picks = carried(requests)
     best: Tour | None = None
     passes = [(query.config, MAX_THOROUGH)]
@@ -219,15 +219,29 @@ def _solved_tasks(tour: Tour) -> int:
     return sum(step.plan.feasible for step in tour.steps)
 
 
-def expanded(requests: Sequence[Request]) -> list[Request]:
-    """Return requests without `bring`, which is to pick an object up and to place it."""
+def expanded(requests: Sequence[Request], scene: Scene) -> list[Request]:
+    """Return requests that each take one grasp.
+
+    To bring an object is to pick it up and to place it, and to turn a wheel by more than half a
+    turn is to turn it several times.
+    """
     tasks: list[Request] = []
+    turned = dict[tuple[str, str], float]()
     for one in requests:
         if one.verb == "bring":
             refuse_place(one.verb, one.object, one.to)
             tasks += [Request("pick", one.object, one.joint), one._replace(verb="place")]
+            continue
+        before = turned.get((one.object, one.joint or ""))
+        turns = turns_to(scene, one.verb, one.object, one.joint, one.to, before)
+        if turns is not None:
+            joint, values = turns
+            tasks += [one._replace(joint=joint, to=value) for value in values]
         else:
             tasks.append(one)
+        if isinstance(tasks[-1].to, float):
+            turned[one.object, tasks[-1].joint or ""] = tasks[-1].to
+            turned[one.object, one.joint or ""] = tasks[-1].to
     return tasks
 
 

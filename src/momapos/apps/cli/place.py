@@ -501,8 +501,12 @@ def _answer(
         with within_time(config.timeout):
             scene = read_scene(scene_name, [name], options, [options.out], [options.plot, map_file])
             scene = scene if mass is None else scene.with_mass(name, mass)
-            from momapos.planning.grasps import make_task
+            from momapos.planning.grasps import make_task, turns_to
 
+            if turns_to(scene, verb, name, joint or None, to) is not None:
+                from .tour import answer_tour
+
+                return answer_tour(scene_name, [(verb, target, to)], options)
             found = _plan(scene, make_task(scene, verb, name, joint or None, to), options, config)
     except (TaskDoneError, OutOfTimeError) as end:
         status = "done" if isinstance(end, TaskDoneError) else "timeout"

@@ -6,9 +6,9 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
-from momapos.core import OutOfTimeError, TaskError, say, unknown_name
+from momapos.core import OutOfTimeError, TaskError, check_outputs, say, unknown_name
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
@@ -121,7 +121,7 @@ def _command(verb: str, further: list[tuple[str, str, str | None]]) -> Callable[
             target: The object of the first task, and its joint if it has several.
             to: How far to move the first part; each further task may have its own --to.
         """
-        return _answer(scene, [(verb, target, to), *further], options)
+        return answer_tour(scene, [(verb, target, to), *further], options)
 
     return place_tour
 
@@ -142,7 +142,7 @@ def place_bring(
         to: Where to: an object or a part of it as table or chest/drawer, a point as 1.2,0.4,0.75
             or with a yaw as 1.2,0.4,0.75,90deg, or an area of the scene.
     """
-    return _answer(scene, [("bring", target, to)], options)
+    return answer_tour(scene, [("bring", target, to)], options)
 
 
 def place_reach(
@@ -167,16 +167,16 @@ def place_reach(
     if options.tolerance:
         raise TaskError("--tolerance does not apply to reach; leave it out")
 
-    def of_scene(room: Scene) -> Callable[..., Tour]:
+    def of_scene(room: Scene) -> tuple[Callable[..., Tour], int]:
         from momapos.model.scene import load_poses
         from momapos.planning import plan_reach
 
         targets = load_poses(poses, room)
         return lambda robot, reach, **how: plan_reach(
             room, robot, targets, reach, in_order=in_order, **how
-        )
+        ), 1
 
-    return _answer_with(scene, (), of_scene, 1, options)
+    return _answer_with(scene, (), of_scene, options)
 
 
 def _request(verb: str, target: str, to: str | None) -> Request:
@@ -205,25 +205,27 @@ def _check(options: Options, config: PipelineConfig) -> None:
         )
 
 
-def _answer(scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options) -> int:
-    from momapos.planning import expanded
-
+def answer_tour(
+    scene_name: str, tasks: Sequence[tuple[str, str, str | None]], options: Options
+) -> int:
+    """Plan tasks of a verb, a target and a value each, and print and write the answer."""
     requests = [_request(*task) for task in tasks]
 
-    def of_scene(room: Scene) -> Callable[..., Tour]:
-        from momapos.planning import plan_tour
+    def of_scene(room: Scene) -> tuple[Callable[..., Tour], int]:
+        from momapos.planning import expanded, plan_tour
 
-        return lambda robot, reach, **how: plan_tour(room, robot, requests, reach, **how)
+        def plan_with(robot: Robot, reach: ReachMap | ArmLength, **how: Any) -> Tour:
+            return plan_tour(room, robot, requests, reach, **how)
 
-    names = [request.object for request in requests]
-    return _answer_with(scene_name, names, of_scene, len(expanded(requests)), options)
+        return plan_with, len(expanded(requests, room))
+
+    return _answer_with(scene_name, [one.object for one in requests], of_scene, options)
 
 
 def _answer_with(
     scene_name: str,
     names: Sequence[str],
-    of_scene: Callable[[Scene], Callable[..., Tour]],
-    plans: int,
+    of_scene: Callable[[Scene], tuple[Callable[..., Tour], int]],
     options: Options,
 ) -> int:
     """Plan a tour, write it and print it.
@@ -231,21 +233,21 @@ def _answer_with(
     Args:
         scene_name: A scene file or a built-in kitchen.
         names: Objects that it must have.
-        of_scene: Returns what plans the tour of a robot in the scene.
-        plans: Least number of plans that are written next to the tour.
+        of_scene: Returns what plans the tour of a robot in the scene, and the least number of plans
+            that are written next to it.
         options: Options of the command.
     """
     config = options.read_config()
     _check(options, config)
     start = None if options.start is None else parse_pose(options.start, "--start")
-    outs = []
-    if options.out is not None:
-        numbered = (options.out.with_name(f"{options.out.stem}_{k + 1}.json") for k in range(plans))
-        outs = [options.out, *numbered]
+    outs = [] if options.out is None else [options.out]
     try:
         with within_time(config.timeout), ended_by_interrupt() as interrupted:
             scene = read_scene(scene_name, names, options, outs)
-            tour = _plan(scene, of_scene(scene), plans, options, config, start)
+            plan_with, plans = of_scene(scene)
+            numbers = range(1, 1 + plans)
+            check_outputs([one.with_name(f"{one.stem}_{k}.json") for one in outs for k in numbers])
+            tour = _plan(scene, plan_with, plans, options, config, start)
     except OutOfTimeError as late:
         say(json.dumps({"status": "timeout", "detail": str(late)}) if options.json else late)
         return EXIT_STATUS["timeout"]

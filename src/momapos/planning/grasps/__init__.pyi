@@ -34,3 +34,4 @@ from .task_requests import openable as openable
 from .task_requests import part_facts_of as part_facts_of
 from .task_requests import parts_of as parts_of
 from .task_requests import slides as slides
+from .task_requests import turns_to as turns_to

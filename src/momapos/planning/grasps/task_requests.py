@@ -49,6 +49,9 @@ MAX_KNOB_SIZE = 0.1
 """Maximum size of a knob or button [m]."""
 LIMIT_TOLERANCE = 1e-3
 """Values that exceed a limit by less are rounded versions of that limit [rad] or [m]."""
+MAX_GRASP_TURN, GRASP_TURN = math.pi, math.pi / 2
+"""A part without limits that turns farther is turned by several grasps, by so much each [rad]: six
+robots of the library turn a hand wheel by 90 degrees with one grasp, and few by more than 180."""
 MAX_TURN, MAX_SLIDE = 2 * math.pi, 10.0
 """Maximum motion of a task; a larger one has a wrong limit or unit [rad], [m]."""
 
@@ -108,6 +111,45 @@ def make_task(
     _check_goal(target, record, verb, start, goal)
     follower = "" if named is record else named.name
     return Task(verb, object_name, record.name, goal, farthest, follower)  # type: ignore[arg-type]
+
+
+def turns_to(
+    scene: Scene,
+    verb: str,
+    object_name: str,
+    joint: str | None,
+    to: float | str | None,
+    start: float | None = None,
+) -> tuple[str, list[float]] | None:
+    """Return how a wheel or a valve is turned by several grasps; None if one may do.
+
+    Args:
+        scene: The scene.
+        verb, object_name, joint, to: The request, see `make_task`.
+        start: Value of the joint before, if it is not that of the scene [rad].
+
+    Returns:
+        The joint, and the value after each grasp, `GRASP_TURN` apart at most [rad].
+    """
+    if verb not in ("open", "close") or object_name not in {o.name for o in scene.objects}:
+        return None
+    target = scene.object(object_name)
+    if not target.model.joints or (isinstance(to, str) and to.strip() == MAX):
+        return None
+    record = target.joint(joint) if joint else _only_joint(target)
+    if record.kind == "prismatic" or record.mimic is not None or np.isfinite(record.upper):
+        return None
+    begin = target.values()[record.name] if start is None else start
+    if to is not None:
+        goal = _within_limits(f"{target.name}/{record.name}", record, to)
+    elif verb == "close":
+        goal = opening_of(target.model, record.name).closed
+    else:
+        return None
+    if abs(goal - begin) <= MAX_GRASP_TURN:
+        return None
+    count = math.ceil(abs(goal - begin) / GRASP_TURN - 1e-9)
+    return record.name, np.linspace(begin, goal, count + 1)[1:].tolist()
 
 
 def openable(scene: Scene) -> list[tuple[str, str]]:
@@ -300,7 +342,12 @@ def _check_goal(target: SceneObject, joint: Joint, verb: str, start: float, goal
     if abs(goal - start) > longest + LIMIT_TOLERANCE:
         raise TaskError(
             f"{where}: from {start:g} to {goal:g} {unit} is too far; a part moves at most "
-            f"{longest:.4g} {unit}" + ("" if joint.kind == "prismatic" else " (a full turn)")
+            f"{longest:.4g} {unit}"
+            + (
+                ""
+                if joint.kind == "prismatic"
+                else " (a full turn); a tour turns a part without limits by several grasps"
+            )
         )
     if verb != "press" and opens != (verb == "open"):
         word = "open" if opens else "close"
