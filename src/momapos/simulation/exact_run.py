@@ -34,7 +34,7 @@ from .execute import believed_joint, cuts_of, is_of_one_object, judge, section_o
 from .execution_run import ExecutionRun, Watch
 from .robot_dynamics import find_hand, read_dynamics
 from .run_record import Collision, Execution, RunRecord, Visit
-from .stages import grasp_here, press_in
+from .stages import grasp_here, press_in, presses
 from .worlds import WorldSetup, draw_worlds
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ class _PlanRun:
                 section = section_of(motion, first, last)
                 ending = ending or grasp_here(run, section, hold, searches=False)
                 self.offset = run.arm.q - motion.q[first]
-            if self.plan.task.verb == "press" and hold is not None:
+            if hold is not None and presses(self.plan.task, section_of(motion, first, last)):
                 ending = ending or press_in(run)
             else:
                 ending = ending or self._manipulate(first, last, None if free else hold)

@@ -11,7 +11,7 @@ import numpy as np
 
 from momapos.core.geometry import invert, rotation_angle
 from momapos.model import Trajectory, time_motion
-from momapos.model.records import Family, Hold, Motion
+from momapos.model.records import Family, Hold, Motion, Task
 from momapos.model.robots import Robot
 
 from .arm_control import (
@@ -118,6 +118,12 @@ def reach_on(run: ExecutionRun, q: Float[np.ndarray, " n"]) -> Ending | None:
             sign, most = -1.0, gone - SEARCH_BACK
     run.forward_offset = gone * ahead
     return None
+
+
+def presses(task: Task, motion: Motion) -> bool:
+    """Check whether a section of a motion presses a part that travels no farther than a button."""
+    moved = np.linalg.norm(np.diff(motion.Ts_world_tool[:, :3, 3], axis=0), axis=1).sum()
+    return task.verb == "press" and bool(moved < PRESS_TRAVEL)
 
 
 def press_in(run: ExecutionRun) -> Ending | None:
@@ -554,7 +560,7 @@ def grasp_here(
         return Ending.ASTRAY
     run.observer.reaching = False
     family = Family.UNSTATED if hold is None else hold.kind
-    if run.task.verb == "press":
+    if hold is not None and hold.kind is Family.PUSH and run.task.verb == "press":
         return None
     if run.config.hold == "contact":
         if family is Family.PUSH:
@@ -582,7 +588,7 @@ def _move(run: ExecutionRun, stretch: Stretch) -> Ending | None:
     plan = stretch.plan
     if stretch.between is not None:
         return go_between(run, stretch.between)
-    if run.task.verb == "press" and stretch.pushes:
+    if stretch.pushes and presses(run.task, stretch.motion):
         return press_in(run)
     if stretch.turns_latch:
         return turn_latch(run, plan)

@@ -448,7 +448,8 @@ class _ArmQuery:
     def needs_smaller_opening(self, task: Task, answers: Sequence[PlacementResult]) -> bool:
         """Whether to search for a smaller opening because no arm solves the task."""
         solved = any(answer.plan.feasible for answer in answers)
-        given_up = not solved and self.at is None and not task.farthest
+        whole = task.farthest or task.verb == "press"
+        given_up = not solved and self.at is None and not whole
         return given_up and self.config.place.method in OURS
 
 

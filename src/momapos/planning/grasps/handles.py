@@ -390,6 +390,8 @@ def front_face(part: CarriedPart | None, sign: float) -> Handle | None:
     )  # fmt: skip
 
 
+MAX_PRESS_INSET = 0.15
+"""Largest distance of a push from the part's edge: a hand next to a door's frame fits [m]."""
 MIN_PRESS_COSINE = 0.86
 """Least cosine between a face and the motion of its point, for which friction of 0.6 holds [-]."""
 
@@ -413,7 +415,7 @@ def pressed_faces(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
     along = int(np.argmax(np.abs(rotation.T @ record.axis)))
     found = []
     for normal, across in permutations([k for k in range(3) if k != along]):
-        inset = min(PUSH_INSET, half[across] / 4)
+        inset = min(MAX_PRESS_INSET, half[across] / 4)
         for out, side in product((1.0, -1.0), repeat=2):
             away = out * rotation[:, normal]
             reach = half[normal] * away + side * (half[across] - inset) * rotation[:, across]
@@ -426,7 +428,9 @@ def pressed_faces(part: CarriedPart, sign: float) -> tuple[Handle, ...]:
                     HandleKind.FACE, longest_name(list(own)), own,
                 )  # fmt: skip
                 found.append((lever, face))
-    return tuple(face for _, face in sorted(found, key=lambda one: -one[0]))
+    least = MIN_LEVER_SHARE * max((lever for lever, _ in found), default=0.0)
+    far = [one for one in found if one[0] >= least]
+    return tuple(face for _, face in sorted(far, key=lambda one: -one[0]))
 
 
 KNOB_ELONGATION = 1.5
