@@ -18,7 +18,7 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
         "plan base poses and motions to open, close, press, pick, place, bring, or reach poses",
         {
-            "open": "place:place_open", "close": "place:place_close",
+            "open": "tour:place_open", "close": "tour:place_close",
             "press": "place:place_press",
             "pick": "place:place_pick", "place": "place:place_place",
             "bring": "tour:place_bring", "reach": "tour:place_reach",

@@ -49,7 +49,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from momapos.model.records import BaseRegion, Task
@@ -269,44 +269,6 @@ SETTINGS = PIPELINE
 """Fields and tables of a configuration that the commands use."""
 
 
-def place_open(
-    scene: SceneArg,
-    target: Target,
-    /,
-    *,
-    to: ValueArg = None,
-    map_file: MapArg = None,
-    options: Shared = DEFAULT,
-) -> int:
-    """Open a door, a drawer or a lid.
-
-    Args:
-        scene: A scene file or a built-in kitchen.
-        target: The object, and its joint if it has several.
-        to: How far to open: 90deg, 1.2rad, 0.3m, 30cm or max (default: 90 deg, or fully).
-        map_file: Draw how far it opens from each base pose (PNG, SVG or PDF); takes 5 s or more.
-    """
-    return _answer("open", scene, target, to, options, map_file)
-
-
-def place_close(
-    scene: SceneArg,
-    target: Target,
-    /,
-    *,
-    to: ValueArg = None,
-    options: Shared = DEFAULT,
-) -> int:
-    """Close a door, a drawer or a lid that is open in the scene.
-
-    Args:
-        scene: A scene file or a built-in kitchen.
-        target: The object, and its joint if it has several.
-        to: Where to stop, such as 10deg or 5cm (default: closed).
-    """
-    return _answer("close", scene, target, to, options)
-
-
 def place_press(
     scene: SceneArg,
     target: Target,
@@ -322,7 +284,7 @@ def place_press(
         target: The object, and its joint if it has several.
         to: How far to press: 3mm, -8deg (default: the farther limit).
     """
-    return _answer("press", scene, target, to, options)
+    return answer("press", scene, target, to, options)
 
 
 def place_pick(
@@ -340,7 +302,7 @@ def place_pick(
         target: The object.
         mass: Its mass [kg] (default: that of the scene, or a guess).
     """
-    return _answer("pick", scene, target, None, options, mass=mass)
+    return answer("pick", scene, target, None, options, mass=mass)
 
 
 def place_place(
@@ -358,7 +320,7 @@ def place_place(
         target: The object.
         mass: Its mass [kg] (default: that of the scene, or a guess).
     """
-    return _answer("place", scene, target, None, options, mass=mass)
+    return answer("place", scene, target, None, options, mass=mass)
 
 
 def read_region(options: Options, scene: Scene) -> BaseRegion:
@@ -482,7 +444,7 @@ def _read_query(options: Options, scene: Scene, config: PipelineConfig) -> _ArmQ
     return _ArmQuery(start, at, region, config, options.seed)
 
 
-def _answer(
+def answer(
     verb: str,
     scene_name: str,
     target: str,
@@ -490,7 +452,17 @@ def _answer(
     options: Options,
     map_file: Path | None = None,
     mass: float | None = None,
+    by_tour: Callable[..., int] | None = None,
 ) -> int:
+    """Plan one task, and print and write the answer; return the exit status.
+
+    Args:
+        verb, scene_name, target, to: The task.
+        options: Options of the command.
+        map_file: Where to draw how far a part opens; None for nowhere.
+        mass: Mass of the object [kg]; None for that of the scene, or a guess.
+        by_tour: Answers a task that takes several grasps; None where one always does.
+    """
     if to is not None and to != MAX:
         parse_quantity(to)
     for option in ("lift", "level"):
@@ -504,10 +476,8 @@ def _answer(
             scene = scene if mass is None else scene.with_mass(name, mass)
             from momapos.planning.grasps import make_task, turns_to
 
-            if turns_to(scene, verb, name, joint or None, to) is not None:
-                from .tour import answer_tour
-
-                return answer_tour(scene_name, [(verb, target, to)], options)
+            if by_tour and turns_to(scene, verb, name, joint or None, to) is not None:
+                return by_tour(scene_name, [(verb, target, to)], options)
             found = _plan(scene, make_task(scene, verb, name, joint or None, to), options, config)
     except (TaskDoneError, OutOfTimeError) as end:
         status = "done" if isinstance(end, TaskDoneError) else "timeout"

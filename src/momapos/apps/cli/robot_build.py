@@ -24,7 +24,7 @@ from .options import (
 from .robot import check_robot, package_folders, pairs
 
 if TYPE_CHECKING:
-    from momapos.model.robots import Derived, Part
+    from momapos.model.robots import Derived, RobotPart
 
 BASE, MAST, ARM, GRIPPER = "base", "mast", "arm", "gripper"
 _NAMED = re.compile(r"(\w+)=(.*)", re.DOTALL)
@@ -84,16 +84,16 @@ def robot_build(
     robot = out or Path(f"{names[0]}_{names[2 if mast else 1]}.toml")
 
     def derive(**options: Any) -> tuple[Path, Derived]:
-        from momapos.model.robots import Part, RobotSource, join_parts, write_robot
+        from momapos.model.robots import RobotPart, RobotSource, join_parts, write_robot
         from momapos.workflows import read_description
 
-        parts: list[Part] = []
+        parts: list[RobotPart] = []
         for name, (file, below) in files.items():
             meshes = f"{robot.stem}_meshes/{name}_"
             content = read_description(file, packages, args[name], meshes)
             other, link = carriers.get(name, (below, None))
             xyz, rpy = poses.get(name, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-            parts.append(Part(name, file, content, other, link, xyz, rpy))
+            parts.append(RobotPart(name, file, content, other, link, xyz, rpy))
         source = RobotSource(robot.with_suffix(".urdf"), visual_hulls=visual_hulls)
         joined = join_parts(robot.stem, parts)
         return write_robot(source, robot, expanded=joined, **options)

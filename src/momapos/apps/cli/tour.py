@@ -26,7 +26,17 @@ from .options import (
     exit_status,
 )
 from .parse import parse
-from .place import DEFAULT, Options, Shared, read_region, read_scene, show, write
+from .place import (
+    DEFAULT,
+    MapArg,
+    Options,
+    Shared,
+    answer,
+    read_region,
+    read_scene,
+    show,
+    write,
+)
 
 if TYPE_CHECKING:
     from momapos.model.records import PlacementPlan
@@ -124,6 +134,44 @@ def _command(verb: str, further: list[tuple[str, str, str | None]]) -> Callable[
         return answer_tour(scene, [(verb, target, to), *further], options)
 
     return place_tour
+
+
+def place_open(
+    scene: SceneArg,
+    target: Target,
+    /,
+    *,
+    to: ValueArg = None,
+    map_file: MapArg = None,
+    options: Shared = DEFAULT,
+) -> int:
+    """Open a door, a drawer or a lid.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        target: The object, and its joint if it has several.
+        to: How far to open: 90deg, 1.2rad, 0.3m, 30cm or max (default: 90 deg, or fully).
+        map_file: Draw how far it opens from each base pose (PNG, SVG or PDF); takes 5 s or more.
+    """
+    return answer("open", scene, target, to, options, map_file, by_tour=answer_tour)
+
+
+def place_close(
+    scene: SceneArg,
+    target: Target,
+    /,
+    *,
+    to: ValueArg = None,
+    options: Shared = DEFAULT,
+) -> int:
+    """Close a door, a drawer or a lid that is open in the scene.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        target: The object, and its joint if it has several.
+        to: Where to stop, such as 10deg or 5cm (default: closed).
+    """
+    return answer("close", scene, target, to, options, by_tour=answer_tour)
 
 
 def place_bring(
@@ -311,8 +359,8 @@ def _plan(
 
 def _deliver(tour: Tour, options: Options) -> None:
     if len(tour.steps) == 1 and tour.steps[0].plan.task.poses:
-        answer = write(tour.steps[0], options.out, as_json=options.json)
-        show(answer, options.out, as_json=options.json, most=False, tried="")
+        written = write(tour.steps[0], options.out, as_json=options.json)
+        show(written, options.out, as_json=options.json, most=False, tried="")
         return
     import json
     from pathlib import Path

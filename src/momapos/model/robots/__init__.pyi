@@ -17,7 +17,7 @@ from .hand_openings import with_closed_hand as with_closed_hand
 from .load_limits import RobotLoads as RobotLoads
 from .load_limits import StateLoads as StateLoads
 from .load_limits import robot_loads as robot_loads
-from .parts import Part as Part
+from .parts import RobotPart as RobotPart
 from .parts import join_parts as join_parts
 from .parts import read_part as read_part
 from .robot import MAX_REACH as MAX_REACH

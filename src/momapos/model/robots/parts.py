@@ -33,7 +33,7 @@ _KEPT = {"link", "joint", "material", "gazebo"}
 
 
 @dataclass(frozen=True)
-class Part:
+class RobotPart:
     """A description, and the link of another part that carries it."""
 
     name: str
@@ -51,7 +51,7 @@ class Part:
     """[rad]"""
 
 
-def join_parts(name: str, parts: Sequence[Part]) -> Expanded:
+def join_parts(name: str, parts: Sequence[RobotPart]) -> Expanded:
     """Join parts into one robot.
 
     Args:
@@ -89,7 +89,7 @@ def join_parts(name: str, parts: Sequence[Part]) -> Expanded:
     return Expanded(tostring(robot, encoding="unicode"), packages, tuple(notes), "", meshes)
 
 
-def _refuse_cycle(parts: Sequence[Part]) -> None:
+def _refuse_cycle(parts: Sequence[RobotPart]) -> None:
     """Refuse parts that carry each other, or that no part carries."""
     on = {part.name: part.on for part in parts}
     for part in parts:
@@ -117,7 +117,7 @@ def _apart(content: Expanded, taken: Mapping[str, Path]) -> Expanded:
     return Expanded(text, packages, content.notes, content.off, content.meshes)
 
 
-def _tree(part: Part, content: Expanded) -> Element:
+def _tree(part: RobotPart, content: Expanded) -> Element:
     """Return the XML tree of a part, after the checks of any robot's description."""
     finder = MeshFinder(part.file, packages=content.packages)
     find = Path if content.meshes else finder.find  # written later
@@ -127,7 +127,7 @@ def _tree(part: Part, content: Expanded) -> Element:
     return tree
 
 
-def _carrier(part: Part, parts: Sequence[Part], trees: Mapping[str, Element]) -> str:
+def _carrier(part: RobotPart, parts: Sequence[RobotPart], trees: Mapping[str, Element]) -> str:
     """Return the link that carries a part, by the name in its own file."""
     tree = trees[part.on]
     names = [link.get("name", "") for link in tree.findall("link")]
@@ -169,7 +169,7 @@ def _tips(tree: Element) -> list[str]:
     return sorted(named or ends)
 
 
-def _renamed(parts: Sequence[Part], trees: Mapping[str, Element]) -> dict[str, dict[str, str]]:
+def _renamed(parts: Sequence[RobotPart], trees: Mapping[str, Element]) -> dict[str, dict[str, str]]:
     """Make the names of links and joints unique; return the new names of links by part."""
     found = {}
     counts = {
