@@ -15,4 +15,6 @@ from .plan_check import verify_tour as verify_tour
 from .report import Limits as Limits
 from .report import report_lines as report_lines
 from .report import report_to_dict as report_to_dict
+from .robot_collision_model import LinkContact as LinkContact
+from .robot_collision_model import link_contacts as link_contacts
 from .robot_collision_model import self_contacts as self_contacts

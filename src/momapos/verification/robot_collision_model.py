@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,6 +14,7 @@ from momapos.model.urdf import Articulated
 
 from .exact_shapes import Shapes, of_bodies, piece_names, prepared, without_piece
 from .link_bodies import LinkBodies, body_poses
+from .part_sweep import depths_below_floor
 from .report import DEFAULT, Check
 from .sweep import Overlaps, all_pairs, deepest, surfaces_cross
 
@@ -101,7 +102,17 @@ class RobotCollisionModel:
         where: Callable[[int], str],
         limit: float,
     ) -> Check:
-        """Check how deep the robot overlaps itself.
+        """Check how deep the robot overlaps itself; see `self_overlaps`."""
+        return self.self_overlaps(Ts_base, Ts_arm, where, limit).check("robot self-collision")
+
+    def self_overlaps(
+        self,
+        Ts_base: Float[np.ndarray, "#s b 4 4"],
+        Ts_arm: Float[np.ndarray, "s a 4 4"],
+        where: Callable[[int], str],
+        limit: float,
+    ) -> Overlaps:
+        """Find the pairs of links of the robot that overlap.
 
         Args:
             Ts_base, Ts_arm: World poses of its shapes.
@@ -113,7 +124,7 @@ class RobotCollisionModel:
         found.add(self.arm, Ts_arm, self.arm, Ts_arm, self.arm_arm_pairs, where)
         self._add_claimed(found, self.base, Ts_base, Ts_arm, self.claimed_base_pairs, where)
         self._add_claimed(found, self.arm, Ts_arm, Ts_arm, self.claimed_arm_pairs, where)
-        return found.check("robot self-collision")
+        return found
 
     def _add_claimed(
         self,
@@ -219,6 +230,45 @@ def self_contacts(
     built = robot_collision_model(robot)
     _, Ts_base, Ts_arm = built.poses(built.body_poses((0.0, 0.0, 0.0), q))
     return built.self_check(Ts_base, Ts_arm, where, DEFAULT.penetration)
+
+
+@dataclass(frozen=True)
+class LinkContact:
+    """A link that overlaps another one, or the floor."""
+
+    links: tuple[str, ...]
+    """The links; one if it is the floor that the link overlaps."""
+    depth: float
+    """[m]"""
+    words: str
+    """Which shapes overlap and how deep."""
+
+
+def link_contacts(robot: RobotDescription, values: Mapping[str, float]) -> tuple[LinkContact, ...]:
+    """Return what overlaps in a state, the deepest first, by the shapes and pairs of the check.
+
+    Unlike in a plan, joints beyond those of one arm may move: all arms, a torso and the fingers.
+
+    Args:
+        robot: The robot.
+        values: Values of all joints that move, without followers [rad] or [m].
+    """
+    built = _robot_collision_model(
+        robot.model, robot.base_link, robot.tool_link, tuple(values), robot.disabled, robot.claimed
+    )
+    given = {name: np.array([value]) for name, value in values.items()}
+    _, Ts_base, Ts_arm = built.poses(body_poses(built.bodies, given, built.T_base_root))
+    overlaps = built.self_overlaps(Ts_base, Ts_arm, lambda _: "this state", 0.0)
+    found = [
+        LinkContact(pair, depth, words.removesuffix(" at this state"))
+        for pair, (depth, words) in overlaps.worst.items()
+    ]
+    below = depths_below_floor(built.arm, Ts_arm)[0]
+    for k in np.flatnonzero(below > 0.0).tolist():
+        name, depth = built.arm.names[k], float(below[k])
+        words = f"{name} is {1000 * depth:.0f} mm below the floor"
+        found.append(LinkContact((without_piece(name),), depth, words))
+    return tuple(sorted(found, key=lambda contact: -contact.depth))
 
 
 def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:

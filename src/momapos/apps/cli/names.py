@@ -16,11 +16,12 @@ COMPLETE_NAMES = "--complete-names"
 MAX_BYTES = 5_000_000
 """Largest file that is read while a user types [bytes]."""
 _SCENE, _ROBOT, _OBJECT, _PART, _SUITE = "scene", "robot", "object", "part", "suite"
+_SHOWN = "scene or robot"
 _POSITIONS = {
     ("place", "open"): (_SCENE, _PART), ("place", "close"): (_SCENE, _PART),
     ("place", "press"): (_SCENE, _PART),
     ("place", "pick"): (_SCENE, _OBJECT), ("place", "place"): (_SCENE, _OBJECT),
-    ("rank",): (_SCENE, _PART), ("view",): (_SCENE,), ("scene", "show"): (_SCENE,),
+    ("rank",): (_SCENE, _PART), ("view",): (_SHOWN,), ("scene", "show"): (_SCENE,),
     ("scene", "check"): (_SCENE,), ("scene", "convert"): (_SCENE,), ("scene", "scan"): (_SCENE,),
     ("robot", "show"): (_ROBOT,), ("robot", "check"): (_ROBOT,), ("robot", "export"): (_ROBOT,),
     ("reach", "build"): (_ROBOT,), ("reach", "eval"): (_ROBOT,), ("bench", "run"): (_SUITE,),
@@ -126,6 +127,8 @@ def _names(kind: str, given: Sequence[str]) -> list[str]:
         return list(builtin_names())
     if kind == _ROBOT:
         return list(library_names())
+    if kind == _SHOWN:
+        return [*builtin_names(), *library_names()]
     if kind == _SUITE:
         from momapos.apps.bench import SUITES
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json as json_format
 import math
 import shlex
-import shutil
 import tomllib
 from dataclasses import asdict
 from pathlib import Path
@@ -14,8 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, arg
 
 from momapos.apps.plots import check_figure_path
-from momapos.core import RobotError, check_outputs, say, unknown_name
-from momapos.model.robots import LIBRARY, MAP_JOINTS, find_named_robot, library_file, library_names
+from momapos.core import RobotError, check_outputs, say
+from momapos.model.robots import (
+    MAP_JOINTS,
+    export_robot,
+    find_named_robot,
+    library_file,
+    library_names,
+)
 
 from .bounds import within_bounds
 from .console import progress
@@ -319,24 +324,8 @@ def robot_export(name: RobotArg, dir: Annotated[Positional[Path], arg(metavar="D
         name: A library robot.
         dir: The folder; existing files are not overwritten.
     """
-    if name not in library_names():
-        raise unknown_name("robot", name, library_names(), "the library")
-    source = LIBRARY / name
-    files = [path for path in sorted(source.rglob("*")) if path.is_file()]
-    check_outputs(folders=[dir])
-    taken = [path for path in files if (dir / path.relative_to(source)).exists()]
-    if taken:
-        raise RobotError(
-            f"{dir / taken[0].relative_to(source)}: exists already; choose a new folder"
-        )
-    for path in files:
-        target = dir / path.relative_to(source)
-        try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, target)
-        except OSError as error:
-            raise RobotError(f"{target}: cannot be written ({error.strerror})") from error
-        say(target)
+    for file in export_robot(name, dir):
+        say(file)
     return SOLVED
 
 

@@ -19,6 +19,7 @@ from viser import _messages as messages
 from momapos.core import TaskError, escape_markdown, parse_quantity
 from momapos.model.records import JointVerb
 from momapos.model.scene import Scene
+from momapos.model.urdf import Joint
 from momapos.planning.grasps import make_task
 from momapos.simulation import GIF, MP4
 
@@ -159,7 +160,7 @@ SLIDER_STEP = {"deg": 1.0, "m": 0.01}
 
 @dataclass(frozen=True)
 class JointRange:
-    """A joint of the object with a slider."""
+    """A joint with a slider."""
 
     name: str
     low: float
@@ -189,13 +190,29 @@ def joint_ranges(scene: Scene, name: str) -> tuple[JointRange, ...]:
     for item in (one for one in scene.objects if one.name == name):
         values = item.values()
         for joint in item.model.joints.values():
-            limit = UNLIMITED[joint.kind]
-            low, high = max(joint.lower, -limit), min(joint.upper, limit)
-            if joint.mimic is None and high - low > 1e-6:
-                value = min(max(values[joint.name], low), high)
-                turns = joint.kind != "prismatic"
-                found.append(JointRange(joint.name, low, high, value, turns))
+            own = joint_range(joint, values[joint.name])
+            if own is not None:
+                found.append(own)
     return tuple(found)
+
+
+def joint_range(joint: Joint, value: float) -> JointRange | None:
+    """Return the range of a joint at a value [rad] or [m]; None if it follows or does not move."""
+    limit = UNLIMITED[joint.kind]
+    low, high = max(joint.lower, -limit), min(joint.upper, limit)
+    if joint.mimic is not None or high - low <= 1e-6:
+        return None
+    return JointRange(joint.name, low, high, min(max(value, low), high), joint.kind != "prismatic")
+
+
+def joint_slider(gui: GuiApi, joint: JointRange) -> Any:
+    """Add the slider of a joint."""
+    low, high = joint.to_slider(joint.low), joint.to_slider(joint.high)
+    return gui.add_slider(
+        f"{joint.name} [{joint.unit}]", min=round(low, 3), max=round(high, 3),
+        initial_value=_within(joint.to_slider(joint.value), low, high),
+        step=min(SLIDER_STEP[joint.unit], (high - low) / 20),
+    )  # fmt: skip
 
 
 WAIT = 1.0
@@ -215,6 +232,16 @@ class Resender:
     def control(self, handle: Any) -> None:
         """Send a control again that a user has changed."""
         self._soon(handle._impl.uuid, partial(send_value, handle))
+
+    def on_change(self, handle: Any, action: Callable[[], None]) -> None:
+        """Send a control again and call an action when a user changes it."""
+
+        def changed(event: Any) -> None:
+            if event.client is not None:
+                self.control(handle)
+                action()
+
+        handle.on_update(changed)
 
     def node(self, node: Any) -> None:
         """Send a node again that a user has dragged."""
@@ -404,13 +431,7 @@ class Panel:
 
     def on_change(self, handle: Any, action: Callable[[], None] = lambda: None) -> None:
         """Call an action when a user changes a control, but not when the page itself does."""
-
-        def changed(event: Any) -> None:
-            if event.client is not None:
-                self.resender.control(handle)
-                action()
-
-        handle.on_update(changed)
+        self.resender.on_change(handle, action)
 
     def on_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
         """Call an action when a user presses a key or chooses the command."""
@@ -447,12 +468,7 @@ class Panel:
         self.joints_folder.visible = bool(joints)
         with self.joints_folder:
             for joint in joints:
-                low, high = joint.to_slider(joint.low), joint.to_slider(joint.high)
-                slider = self._gui.add_slider(
-                    f"{joint.name} [{joint.unit}]", min=round(low, 3), max=round(high, 3),
-                    initial_value=_within(joint.to_slider(joint.value), low, high),
-                    step=min(SLIDER_STEP[joint.unit], (high - low) / 20),
-                )  # fmt: skip
+                slider = joint_slider(self._gui, joint)
                 self.on_change(slider, moved)
                 self._joints[joint.name] = joint, slider
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from momapos.apps.plots import sphere_centers
 from momapos.core.geometry import invert, pose_planar, triangulated
 from momapos.model.robots import Robot
 
-from .colors import FORCE, SPHERES, VERDICTS, rgb
+from .colors import FORCE, INFEASIBLE, SPHERES, VERDICTS, Color, rgb
 from .room_view import joined, link_surfaces, place
 
 if TYPE_CHECKING:
@@ -72,6 +72,8 @@ class RobotView:
         self.base = np.zeros(3)
         self._values: dict[str, float] = {}
         self._links: list[tuple[str, Any]] = []
+        self._colors: dict[str, Color] = {}
+        """Of each link, unless it is marked."""
         self._frame: Any = None
         self._spheres: Any = None
         self._force: Any = None
@@ -79,7 +81,7 @@ class RobotView:
         self._spheres_shown = False
 
     def show(self, robot: Robot, base: Float[np.ndarray, "3"], *, opacity: float | None = None,
-             color: str | None = None) -> None:  # fmt: skip
+             color: str | None = None, collision: bool = False) -> None:  # fmt: skip
         """Draw a robot with its arm at home, in place of the last one.
 
         Args:
@@ -87,6 +89,7 @@ class RobotView:
             base: x [m], y [m], yaw [rad].
             opacity: Opacity; None for a solid robot.
             color: One color for all links; None for the usual ones.
+            collision: Whether to draw collision shapes in place of visuals.
         """
         if self._frame is not None:
             self._frame.remove()
@@ -101,14 +104,15 @@ class RobotView:
             self._frame = self._api.add_frame(self.name, show_axes=False)
         hand = set(robot.gripper_links)
         arm = {link for link, segment in robot.segments.of_link.items() if segment > 0}
-        for k, link in enumerate(link_surfaces(robot.model)):
-            own = HAND if link.link in hand else ARM if link.link in arm else BODY
+        for k, link in enumerate(link_surfaces(robot.model, collision=collision)):
+            own = rgb(color or (HAND if link.link in hand else ARM if link.link in arm else BODY))
             surface = joined((link.body, link.handle))
             node = self._api.add_mesh_simple(
-                f"{self.name}/l{k}", *surface.arrays, color=rgb(color or own), flat_shading=True,
+                f"{self.name}/l{k}", *surface.arrays, color=own, flat_shading=True,
                 opacity=opacity, cast_shadow=opacity is None, receive_shadow=False,
             )  # fmt: skip
             self._links.append((link.link, node))
+            self._colors[link.link] = own
         self._draw_footprint()
         self._values = {}
         self.move(base, home_values(robot))
@@ -146,6 +150,13 @@ class RobotView:
                 place(node, T_base_root @ poses[link])
             if self._spheres_shown:
                 self._draw_spheres()
+
+    def mark(self, links: Collection[str]) -> None:
+        """Draw some links in red, and no others."""
+        for link, node in self._links:
+            color = rgb(INFEASIBLE) if link in links else self._colors[link]
+            if tuple(node.color) != color:
+                node.color = color
 
     def show_force(self, force: Float[np.ndarray, "3"] | None) -> None:
         """Draw an arrow for the force that the hand exerts, opposite to the one on the hand [N]."""

@@ -14,6 +14,7 @@ from .hand_openings import squared as squared
 from .hand_openings import tips_of as tips_of
 from .hand_openings import widest_stroke as widest_stroke
 from .hand_openings import with_closed_hand as with_closed_hand
+from .joint_tree import MIN_ARM_JOINTS as MIN_ARM_JOINTS
 from .load_limits import RobotLoads as RobotLoads
 from .load_limits import StateLoads as StateLoads
 from .load_limits import robot_loads as robot_loads
@@ -26,8 +27,9 @@ from .robot import Robot as Robot
 from .robot import load_arms as load_arms
 from .robot import load_robot as load_robot
 from .robot_file import RobotFile as RobotFile
-from .robot_names import LIBRARY as LIBRARY
+from .robot_file import save_homes as save_homes
 from .robot_names import MAP_JOINTS as MAP_JOINTS
+from .robot_names import export_robot as export_robot
 from .robot_names import find_named_robot as find_named_robot
 from .robot_names import library_file as library_file
 from .robot_names import library_names as library_names

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -26,6 +27,7 @@ from momapos.core import (
     resolved,
     unknown_keys,
     unknown_name,
+    write_file,
 )
 from momapos.model.urdf import Articulated, Mimic, once
 
@@ -284,6 +286,47 @@ def read_robot_file(path: Path) -> ReadRobot:
         read_record({"arms": {"": data}, **data}, RobotFile, _place(path), RobotError),
         ignored_keys(data, path.name),
     )
+
+
+_HOME = re.compile(r"^([ \t]*home[ \t]*=[ \t]*)\[[^]]*\]", re.MULTILINE)
+"""A home in a robot file, which may span lines."""
+
+
+def save_homes(path: Path, homes: Mapping[str, Sequence[float]]) -> None:
+    """Replace the homes in a robot file; all else stays as it is, also comments.
+
+    Args:
+        path: The robot file.
+        homes: The values of `arm_joints` of each arm, "" for a single one [rad] or [m].
+
+    Raises:
+        RobotError: The file has other arms by now, cannot be written, or its homes are not in lines
+            of their own.
+    """
+    file = path.resolve()  # a link stays one
+    arms = read_robot_file(file).file.arms
+    if {name: len(arm.arm_joints) for name, arm in arms.items()} != {
+        name: len(home) for name, home in homes.items()
+    }:
+        raise RobotError(f"{path}: has other arms or joints than those shown; open it again")
+    text = read_bytes_bounded(file, MAX_TOML_BYTES).decode("utf-8-sig")
+    wanted = tomllib.loads(text)
+    for name, home in homes.items():
+        (wanted["arms"][name] if name else wanted)["home"] = [round(float(q), 6) for q in home]
+    lines = [
+        str(arm["home"]) for arm in (wanted["arms"].values() if "arms" in wanted else [wanted])
+    ]
+    left = iter(lines)
+    new = _HOME.sub(lambda found: found[1] + next(left, ""), text)
+    try:
+        same = tomllib.loads(new) == wanted
+    except ValueError:
+        same = False
+    if not same:
+        raise RobotError(
+            f"{path}: home is not in a line of its own; replace it by home = {' and '.join(lines)}"
+        )
+    write_file(file, new, error=RobotError)
 
 
 def _place(path: Path) -> Callable[[Parents], str]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
-from momapos.core import RobotError, unknown_name
+from momapos.core import RobotError, check_outputs, unknown_name
 
 MAP_JOINTS = 6
 """Minimum number of arm joints for a reachability map; fewer joints reach few tool poses [-]."""
@@ -62,3 +63,28 @@ def find_named_robot(source: str) -> Path:
             "the path of the one to use"
         )
     return path
+
+
+def export_robot(name: str, folder: Path) -> tuple[Path, ...]:
+    """Copy the files of a library robot to a folder; existing files are not overwritten.
+
+    Raises:
+        UnknownNameError: No library robot has this name.
+        InputError, RobotError: The folder has one of the files, or cannot be written.
+    """
+    if name not in library_names():
+        raise unknown_name("robot", name, library_names(), "the library")
+    source = LIBRARY / name
+    files = [path for path in sorted(source.rglob("*")) if path.is_file()]
+    check_outputs(folders=[folder])
+    targets = tuple(folder / path.relative_to(source) for path in files)
+    taken = next((path for path in targets if path.exists()), None)
+    if taken is not None:
+        raise RobotError(f"{taken}: exists already; choose a new folder")
+    for path, target in zip(files, targets, strict=True):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, target)
+        except OSError as error:
+            raise RobotError(f"{target}: cannot be written ({error.strerror})") from error
+    return targets
