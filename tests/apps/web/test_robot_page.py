@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.commands import error_of
 
-from momapos.apps.cli.view import kind_of
+from momapos.apps.cli.view import kind_of, robot_file
 from momapos.apps.web import colors
 from momapos.apps.web.robot_page import FREE, RobotPage, joint_groups, served_robot
 from momapos.model.robots.robot import load_arms, load_robot
@@ -160,3 +162,19 @@ def test_unusable_robots_are_reported_in_one_line(tmp_path: Path) -> None:
     no_base.write_text(f'<robot name="arm">{links}{joints}</robot>')
     assert "base" in error_of("view", str(no_base))
     assert not no_base.with_suffix(".toml").exists()
+
+
+def test_the_robot_file_of_a_urdf_is_derived_once(tmp_path: Path) -> None:
+    urdf = tmp_path / "my_robot.urdf"
+    urdf.write_text(library_file("segway_ur5e").with_suffix(".urdf").read_text())
+    assert "robot file written to" in output(urdf)
+    file = urdf.with_suffix(".toml")
+    file.write_text("# mine\n" + file.read_text())
+    assert output(urdf) == ""
+    assert file.read_text().startswith("# mine")
+
+
+def output(urdf: Path) -> str:
+    with redirect_stdout(io.StringIO()) as out:
+        assert robot_file(str(urdf)) == str(urdf.with_suffix(".toml"))
+    return out.getvalue()

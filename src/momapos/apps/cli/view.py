@@ -199,7 +199,7 @@ def view(
     with require("view"):
         import viser  # noqa: F401
     if kind == "robot":
-        return _serve_robot(_robot_file(source), host, port)
+        return _serve_robot(robot_file(source), host, port)
     with opened_source(source, robot, scene_root) as opened:
         if static is not None:
             _write(opened, static)
@@ -218,7 +218,7 @@ def _write(opened: Opened | OpenedScan | None, static: Path) -> None:
     say(f"{static}: {static.stat().st_size / 1e6:.1f} MB; open it in any browser")
 
 
-def _robot_file(source: str) -> str:
+def robot_file(source: str) -> str:
     """Return a robot name or file; of a URDF the file next to it, which is derived if missing."""
     urdf = Path(source)
     if urdf.suffix.lower() != ".urdf":
