@@ -64,3 +64,8 @@ def parse_quantity(text: str) -> Quantity:
     except ValueError:
         match = None
     raise TaskError(f"{text[:80]!r} is not a value; {EXAMPLES}")
+
+
+def length_text(value: float) -> str:
+    """Return a length in words: 0.30 m, or 4 mm where it is below 1 cm."""
+    return f"{1000 * value:.3g} mm" if 0.0 < abs(value) < 0.01 else f"{value:.2f} m"

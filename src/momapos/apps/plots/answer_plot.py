@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from momapos.core import label
+from momapos.core import label, length_text
 from momapos.core.geometry import apply, contains, place_points
 from momapos.model.records import Hold, PoseStatus, ReachScorer
 from momapos.model.scene import Scene
@@ -286,7 +286,7 @@ def reached_value(answer: PlacementResult) -> float | None:
 
 def value_text(answer: PlacementResult, value: float) -> str:
     """Format a value of the task's joint, such as 90° or 0.30 m."""
-    return f"{value:.2f} m" if answer.slides else f"{np.degrees(value):.0f}°"
+    return length_text(value) if answer.slides else f"{np.degrees(value):.0f}°"
 
 
 def _write_task(column: TextColumn, scene: Scene, answer: PlacementResult) -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from momapos.apps.plots import task_text, value_text
+from momapos.core import length_text
 from momapos.model.records import PlacementPlan, Task
 from momapos.model.scene import Scene
 from momapos.planning import PlacementResult
@@ -111,7 +112,7 @@ def plan_card(plan: PlacementPlan, scene: Scene) -> Card:
     task, to = plan.task, ""
     known = any(item.name == task.object for item in scene.objects)  # not in a run elsewhere
     if known and task.joint is not None and task.to is not None:
-        value = f"{task.to:.2f} m" if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
+        value = length_text(task.to) if slides(scene, task) else f"{math.degrees(task.to):.0f}°"
         to = f" to {value}"
     facts = [] if plan.base_pose is None else [("base pose", pose_text(plan.base_pose))]
     facts += [("base", plan.base_motion)] if plan.moves_base else []
@@ -203,7 +204,7 @@ def verdict_text(finding: ProbedPose, probe: Probe) -> str:
         return "Feasible from here"
     if finding.value is None:
         return "Not feasible from here"
-    value = f"{finding.value:.2f} m" if probe.slides else f"{math.degrees(finding.value):.0f}°"
+    value = length_text(finding.value) if probe.slides else f"{math.degrees(finding.value):.0f}°"
     return f"Feasible from here only to {value}"
 
 
