@@ -245,7 +245,7 @@ def test_the_command_writes_one_plan_for_one_stop_and_a_tour_for_several(tmp_pat
     answer = json_of(*command(-2.0, 2.8, out="tour.json"), "--json")
     assert answer["stops"] == 2
     assert all(report.valid for report in verify_tour(tmp_path / "tour.json").values())
-    assert error_of(*command(0.0, out="x.json"), "--lift", "2cm").endswith("leave it out")
+    assert error_of(*command(0.0, out="x.json"), "--base", "stops").endswith("leave it out")
 
 
 def test_a_plan_for_poses_is_shown_and_exported_and_its_tool_is_there_in_physics(

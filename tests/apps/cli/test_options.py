@@ -26,11 +26,11 @@ def read_config(
     """Return the configuration that a file and options result in."""
     seen: list[PipelineConfig] = []
 
-    def answer(*args: object) -> int:
+    def answer(*args: object, **_: object) -> int:
         seen.append(args[4].read_config())  # type: ignore[attr-defined]
         return 0
 
-    monkeypatch.setattr("momapos.apps.cli.place._answer", answer)
+    monkeypatch.setattr("momapos.apps.cli.tour.answer", answer)
 
     def read(toml: str, options: str) -> PipelineConfig:
         file = tmp_path / "my.toml"

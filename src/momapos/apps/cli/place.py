@@ -195,14 +195,9 @@ class Options(SearchOptions):
     base: BaseArg = None
     """How the base may serve a task that no single pose serves: stops (up to three), moving (while
     the hand holds), or auto (whichever works first) (default: fixed)."""
-    lift: ValueArg = None
-    """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
-    it would hit something)."""
     grasps: GraspsArg = None
     """Use only these grasps of your own: poses of the tool in the frame of what the task moves, or
     in FRAME (world, an object, a part); also files of GraspGen, Isaac Sim, GraspNet and GPD."""
-    level: ValueArg = None
-    """Largest tilt of an object in the hand, such as 15deg for a full cup (default: any)."""
     advice: Flag = True
     """Don't look for a change that makes an infeasible task feasible."""
     tolerance_samples: int = DEFAULT_SAMPLES
@@ -226,21 +221,14 @@ class Options(SearchOptions):
 
         Raises:
             InputError: A setting is unknown, or out of range.
-            TaskError: --robust is not a length and an angle, --base not a known word, --lift not a
-                length, or --level not an angle.
+            TaskError: --robust is not a length and an angle, or --base not a known word.
         """
         config = self.load_config(self.settings, SETTINGS).pipeline
         if self.base is not None:
             config = replace(config, base=parse_base(self.base))
-        if self.lift is not None:
-            lift = parse_quantity(self.lift).length("--lift:")
-            config = replace(config, motion=replace(config.motion, lift=lift))
         if self.grasps is not None and config.motion.grasps.own == "too":
             grasps = replace(config.motion.grasps, own="only")
             config = replace(config, motion=replace(config.motion, grasps=grasps))
-        if self.level is not None:
-            level = math.degrees(parse_quantity(self.level).angle("--level:"))
-            config = replace(config, motion=replace(config.motion, level=level))
         if self.robust is None:
             return config
         radius, turn = parse_robust(self.robust)
@@ -262,9 +250,38 @@ class Options(SearchOptions):
         return robot.with_grasps(found)
 
 
+@dataclass(frozen=True)
+class CarryOptions(Options):
+    """Options of tasks that move rigid objects."""
+
+    lift: ValueArg = None
+    """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
+    it would hit something)."""
+    level: ValueArg = None
+    """Largest tilt of an object in the hand, such as 15deg for a full cup (default: any)."""
+
+    def read_config(self) -> PipelineConfig:
+        """Read the configuration, with what other options set.
+
+        Raises:
+            InputError: A setting is unknown, or out of range.
+            TaskError: --lift is not a length or --level not an angle, see also `Options`.
+        """
+        config = super().read_config()
+        motion = config.motion
+        if self.lift is not None:
+            motion = replace(motion, lift=parse_quantity(self.lift).length("--lift:"))
+        if self.level is not None:
+            level = math.degrees(parse_quantity(self.level).angle("--level:"))
+            motion = replace(motion, level=level)
+        return replace(config, motion=motion)
+
+
 Shared = Annotated[Options, arg(name="")]
+Carrying = Annotated[CarryOptions, arg(name="")]
 MapArg = Annotated[OptionalFile, arg(name="map")]
 DEFAULT = Options()
+CARRY = CarryOptions()
 SETTINGS = PIPELINE
 """Fields and tables of a configuration that the commands use."""
 
@@ -293,7 +310,7 @@ def place_pick(
     /,
     *,
     mass: MassArg = None,
-    options: Shared = DEFAULT,
+    options: Carrying = CARRY,
 ) -> int:
     """Pick up a rigid object.
 
@@ -311,7 +328,7 @@ def place_place(
     /,
     *,
     mass: MassArg = None,
-    options: Shared = DEFAULT,
+    options: Carrying = CARRY,
 ) -> int:
     """Place the rigid object that the robot holds where it stands in the scene.
 
@@ -465,9 +482,6 @@ def answer(
     """
     if to is not None and to != MAX:
         parse_quantity(to)
-    for option in ("lift", "level"):
-        if getattr(options, option) is not None and verb not in ("pick", "place"):
-            raise TaskError(f"--{option} is for what the hand carries; {verb} carries nothing")
     config = options.read_config()
     name, _, joint = target.partition("/")
     try:

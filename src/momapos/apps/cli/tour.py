@@ -13,6 +13,7 @@ from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
 from .bounds import ended_by_interrupt, with_time_left, within_time
+from .configuration import PIPELINE
 from .loading import plan_before_maps
 from .options import (
     EXIT_STATUS,
@@ -27,7 +28,9 @@ from .options import (
 )
 from .parse import parse
 from .place import (
+    CARRY,
     DEFAULT,
+    Carrying,
     MapArg,
     Options,
     Shared,
@@ -45,6 +48,8 @@ if TYPE_CHECKING:
     from momapos.planning import PipelineConfig, Request, Tour
     from momapos.planning.reachability import ArmLength, ReachMap
 
+SETTINGS = PIPELINE
+"""Sections of the configuration that the commands read."""
 THEN = "then"
 TIME_PER_PLAN = 0.1
 """Time in which a plan is timed and written after the search [s]; measured with five tasks."""
@@ -122,7 +127,7 @@ def _command(verb: str, further: list[tuple[str, str, str | None]]) -> Callable[
         /,
         *,
         to: ValueArg = None,
-        options: Shared = DEFAULT,
+        options: Carrying = CARRY,
     ) -> int:
         """Plan several tasks in a row: from one base pose, or else from as few as possible.
 
@@ -180,7 +185,7 @@ def place_bring(
     /,
     *,
     to: PlaceArg,
-    options: Shared = DEFAULT,
+    options: Carrying = CARRY,
 ) -> int:
     """Pick up a rigid object, carry it and put it down, with one grasp.
 
@@ -209,9 +214,8 @@ def place_reach(
             numpy.
         in_order: Keep the order of the file.
     """
-    for name, value in {"--lift": options.lift, "--base": options.base}.items():
-        if value is not None:
-            raise TaskError(f"{name} does not apply to reach; leave it out")
+    if options.base is not None:
+        raise TaskError("--base does not apply to reach; leave it out")
     if options.tolerance:
         raise TaskError("--tolerance does not apply to reach; leave it out")
 
