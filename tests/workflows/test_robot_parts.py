@@ -17,7 +17,7 @@ from tests.urdf_parts import box, fixed_arm, joint, link, mobile_manipulator
 from momapos.apps.cli.robot import robot_check
 from momapos.apps.cli.robot_build import robot_build
 from momapos.core.errors import InputError, MomaposError, RobotError
-from momapos.model.robots.parts import Part, join_parts, read_part
+from momapos.model.robots.parts import RobotPart, join_parts, read_part
 from momapos.model.robots.robot import load_arms, load_robot
 from momapos.model.urdf.articulated import Articulated
 from momapos.model.urdf.reader import read_urdf
@@ -59,11 +59,11 @@ def files(tmp_path: Path) -> dict[str, Path]:
     }
 
 
-def part(name: str, file: Path, on: str = "", **place: object) -> Part:
-    return Part(name, file, read_part(file, file.read_text(), {}), on, **place)  # type: ignore[arg-type]
+def part(name: str, file: Path, on: str = "", **place: object) -> RobotPart:
+    return RobotPart(name, file, read_part(file, file.read_text(), {}), on, **place)  # type: ignore[arg-type]
 
 
-def whole(files: dict[str, Path]) -> list[Part]:
+def whole(files: dict[str, Path]) -> list[RobotPart]:
     return [
         part("base", files["base"]),
         part("arm", files["arm"], "base", link="torso", xyz=(0.15, 0.0, 0.5)),
