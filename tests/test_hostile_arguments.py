@@ -59,6 +59,7 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     plan = momapos.plan_base_placement(scene, robot, task, config=config).plan
     momapos.write_plan(plan, folder / "plan.json")
     reach = momapos.load_reach_map(robot)
+    (folder / "poses.csv").write_text("x,y,z\n0,0,9\n")
     return {
         "folder": folder, "scene": scene, "robot": robot, "task": task, "config": config,
         "plan": plan, "reach": reach, "base_pose": plan.base_pose,
@@ -93,6 +94,11 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
         "check_base_pose": (m.check_base_pose, {**at_pose, "how_far": False}),
         "placement_tolerance": (m.placement_tolerance, {**at_pose, "samples": 1}),
         "plan_tour": (m.plan_tour, {**tour, "reach": given["reach"], "config": given["config"]}),
+        "plan_reach": (m.plan_reach, {
+            "scene": of["scene"], "robot": of["robot"], "poses": [m.ToolPose((0.0, 0.0, 9.0))],
+            "reach": given["reach"], "config": given["config"], "in_order": False}),
+        "ToolPose": (m.ToolPose, {"xyz": (0.0, 0.0, 1.0)}),
+        "load_poses": (m.load_poses, {"path": folder / "poses.csv", "scene": of["scene"]}),
         "PlacementQuery": (m.PlacementQuery.of, quick),
         "read_plan": (m.read_plan, {"path": folder / "plan.json"}),
         "write_plan": (m.write_plan, {"plan": given["plan"], "path": folder / "again.json"}),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import optional
 from tests.cupboards import HINGE, carcass, furniture_room, joint, link
 from tests.real import CASES, check_independently
 
@@ -177,10 +178,7 @@ def test_a_closer_without_a_spring_is_refused() -> None:
 def test_the_buttons_and_the_switch_that_a_user_asked_about_are_pressed(
     tmp_path: Path, fetch: Robot
 ) -> None:
-    folder = CASES / "users" / "07_buttons"
-    if not folder.is_dir():
-        pytest.skip("the users' requests are not here")
-    scene = load_scene(folder / "lift.json")
+    scene = load_scene(optional.there(CASES / "users/07_buttons/lift.json"))
     for target in ("lift_panel/press_0", "lift_panel/press_3", "light_switch"):
         answer = plan_base_placement(scene, fetch, make_task(scene, "press", target), config=CONFIG)
         assert answer.plan.feasible, target

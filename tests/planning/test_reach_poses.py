@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import optional
 from tests.commands import error_of, json_of, output_of
 from tests.real import CASES, check_independently
 
@@ -261,16 +262,13 @@ def test_a_plan_for_poses_is_shown_and_exported_and_its_tool_is_there_in_physics
     write_plan(plan, path)
     output_of("view", str(path), "--static", str(tmp_path / "page.html"))
     output_of("export", str(path), "--to", "csv", "--out", str(tmp_path / "table.csv"))
-    pytest.importorskip("mujoco")
     words = output_of("run", str(path))
     assert "fetch: reach 2 poses: done" in words
     assert "reached" not in words
 
 
 def test_poses_of_other_people_are_met(robot: Robot, tmp_path: Path) -> None:
-    folder = CASES / "users/11_pose_list"
-    if not folder.is_dir():
-        pytest.skip("the cases are missing")
+    folder = optional.there(CASES / "users/11_pose_list")
     scene = load_scene(folder / "tank.json")
     tour = plan_reach(scene, robot, load_poses(folder / "poses.json", scene))
     assert (tour.status, tour.stops, len(met(tour))) == ("solved", (1,), 6)

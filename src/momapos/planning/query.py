@@ -136,16 +136,16 @@ class PlacementQuery:
         if self.task.joint is not None:
             loaded = self.scene.with_contents(self.task.object, self.task.joint)
             object.__setattr__(self, "scene", loaded)
+        if not hasattr(self.reach, "min_score"):
+            raise InputError("reach must be a reachability map; load_reach_map reads one")
+        object.__setattr__(self, "reach", checked_reach(self.reach))
+        expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
         level = self.config.motion.level
         if level is not None and self.task.joint is None:
             _refuse_tilted(self.scene.object(self.task.object), level)
             object.__setattr__(self, "task", replace(self.task, level=math.radians(level)))
         if self.task.verb == "press":
             object.__setattr__(self, "robot", with_closed_hand(self.robot))
-        if not hasattr(self.reach, "min_score"):
-            raise InputError("reach must be a reachability map; load_reach_map reads one")
-        object.__setattr__(self, "reach", checked_reach(self.reach))
-        expect("config", self.config, PipelineConfig, "set its stages, as place=PlaceConfig()")
         expect("region", self.region, BaseRegion)
         for name in ("keep_poses", "keep_grasps", "final_check", "pose_cost"):
             if getattr(self, name) is not None:

@@ -232,14 +232,15 @@ def expanded(requests: Sequence[Request], scene: Scene) -> list[Request]:
             refuse_place(one.verb, one.object, one.to)
             tasks += [Request("pick", one.object, one.joint), one._replace(verb="place")]
             continue
-        before = turned.get((one.object, one.joint or ""))
+        named = isinstance(one.object, str) and isinstance(one.joint, str | None)
+        before = turned.get((one.object, one.joint or "")) if named else None
         turns = turns_to(scene, one.verb, one.object, one.joint, one.to, before)
         if turns is not None:
             joint, values = turns
             tasks += [one._replace(joint=joint, to=value) for value in values]
         else:
             tasks.append(one)
-        if isinstance(tasks[-1].to, float):
+        if named and isinstance(tasks[-1].to, float):
             turned[one.object, tasks[-1].joint or ""] = tasks[-1].to
             turned[one.object, one.joint or ""] = tasks[-1].to
     return tasks

@@ -175,11 +175,10 @@ def test_the_number_of_poses_is_bounded(
 
 
 def test_poses_of_other_people_are_read(room: Scene) -> None:
+    from tests import optional
     from tests.real import CASES
 
-    path = CASES / "users/11_pose_list/poses.json"
-    if not path.is_file():
-        pytest.skip("the cases are missing")
+    path = optional.there(CASES / "users/11_pose_list/poses.json")
     poses = load_poses(path, room)
     assert len(poses) == 6
     assert all(isinstance(one, ToolPose) for one in poses)

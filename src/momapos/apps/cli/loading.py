@@ -137,7 +137,7 @@ def _build_behind(robot: str, arms: Sequence[Robot]) -> None:
     words = [f"--arm={arms[0].arm}"] if len(arms) == 1 and arms[0].arm else []
     with suppress(OSError):
         subprocess.Popen(
-            [sys.executable, "-m", "momapos", "reach", "build", robot, *words],
+            [sys.executable, "-P", "-m", "momapos", "reach", "build", robot, *words],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             start_new_session=True, preexec_fn=partial(os.nice, 10),
         )  # fmt: skip

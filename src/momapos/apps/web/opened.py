@@ -124,7 +124,9 @@ class TourStory:
         k = min(int(np.searchsorted(self._ends, seconds, side="right")), last)
         story, began = self.stories[k], float(self._ends[k]) - self.stories[k].duration
         moment, task = story.at(seconds - began), story.task
-        phase = f"task {k + 1} of {last + 1}, {task.verb} {task.target}: {moment.phase}"
+        phase = (
+            f"task {k + 1} of {last + 1}, {task.verb} {task.object or task.target}: {moment.phase}"
+        )
         room = ActiveRoom(self.scenes[k], task.object, task.joint)
         return replace(moment, phase=phase, room=room)
 

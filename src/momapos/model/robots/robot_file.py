@@ -303,7 +303,7 @@ def save_homes(path: Path, homes: Mapping[str, Sequence[float]]) -> None:
         RobotError: The file has other arms by now, cannot be written, or its homes are not in lines
             of their own.
     """
-    file = path.resolve()  # a link stays one
+    file = resolved(path)  # a link stays one
     arms = read_robot_file(file).file.arms
     if {name: len(arm.arm_joints) for name, arm in arms.items()} != {
         name: len(home) for name, home in homes.items()

@@ -131,7 +131,10 @@ def turns_to(
     Returns:
         The joint, and the value after each grasp, `GRASP_TURN` apart at most [rad].
     """
-    if verb not in ("open", "close") or object_name not in {o.name for o in scene.objects}:
+    names = isinstance(object_name, str) and isinstance(joint, str | None)
+    if not names or verb not in ("open", "close"):
+        return None
+    if object_name not in {o.name for o in scene.objects}:
         return None
     target = scene.object(object_name)
     if not target.model.joints or (isinstance(to, str) and to.strip() == MAX):
