@@ -53,7 +53,7 @@ KINDS = {
         "-0.12rad", -0.12,
     ),
 }  # fmt: skip
-"""Part, joint, the value that is asked for, and that which is expected."""
+"""Part, joint, the requested value, and the expected one."""
 
 
 def room_with(folder: Path, kind: str) -> Scene:

@@ -189,8 +189,7 @@ PRESS_STOP = [0.004, 1.0]
 """Time constant [s] and damping ratio of the stop of a pressed part: the engine's own gives way by
 millimeters to a fingertip, since buttons weigh little."""
 CLOSER_SPEED = 0.5
-"""Speed at which a closer lets a part close [rad/s] or [m/s]: a door of 90 deg takes three seconds,
-as the standard for door closers, EN 1154, has it at least."""
+"""Speed at which a closer lets a part close [rad/s] or [m/s]: a door takes 3 s from 90 deg."""
 
 
 @dataclass(frozen=True)

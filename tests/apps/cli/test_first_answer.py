@@ -36,14 +36,14 @@ def new(tmp_path: Path) -> str:
 def test_a_solved_task_of_a_new_robot_needs_no_map(
     new: str, started: list[list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked: list[tuple[Any, float]] = []
+    queried: list[tuple[Any, float]] = []
 
     def plan(arms: Any, limit: float) -> str:
-        asked.append((arms, limit))
+        queried.append((arms, limit))
         return "solved"
 
     assert loading.plan_before_maps(new, "any", plan, "solved".__eq__) == "solved"
-    ((((_, reach),), limit),) = asked
+    ((((_, reach),), limit),) = queried
     assert isinstance(reach, ArmLength)
     assert limit == loading.FIRST_TIME
     assert [words[3:] for words in started] == [["reach", "build", new]]
@@ -67,14 +67,14 @@ def test_a_task_that_is_not_solved_without_maps_waits_for_them(
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_a_robot_with_a_map_is_planned_with_it(quick: bool, started: list[list[str]]) -> None:
-    asked: list[Any] = []
+    queried: list[Any] = []
 
     def plan(arms: Any, limit: float) -> str:
-        asked.append((arms[0][1], limit))
+        queried.append((arms[0][1], limit))
         return "infeasible"
 
     loading.plan_before_maps("fetch", "any", plan, "solved".__eq__, quick=quick)
-    ((reach, limit),) = asked
+    ((reach, limit),) = queried
     assert isinstance(reach, ReachMap)
     assert limit == math.inf
     assert not started

@@ -98,7 +98,7 @@ RequestVerb = Literal[Verb, "bring"]
 
 
 MIN_LEVEL = math.radians(1.0)
-"""Least tilt that can be asked for: arms deviate from their paths by tenths of a degree [rad]."""
+"""Least tilt that a request may allow: arms leave their paths by tenths of a degree [rad]."""
 
 
 @dataclass(frozen=True)

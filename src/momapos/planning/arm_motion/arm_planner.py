@@ -71,7 +71,7 @@ UPRIGHT_STEPS, UPRIGHT_SHARE = 5, 0.5
 end, about 0.7 of the angle [-]."""
 LEVEL_BUDGET = 0.05
 """Share of the checks for such a path: those that exist took at most 303 of 40,000 checks for a cup
-that six robots carry over a counter, and each takes up to ten times as long [-]."""
+that four robots carry over a counter, and each takes up to ten times as long [-]."""
 UPRIGHT_DIFFERENCE, DAMPING = 1e-5, 1e-4
 """Difference of a joint in these steps [rad] or [m], and their damping [-]."""
 SAMPLES_PER_CHECK = 20
@@ -256,7 +256,7 @@ def _connect(tree, goal, motion, new, rows, checks, scratch):
 
 @kernel
 def _connect_level(tree, goal, lower, upper, motion, new, rows, checks, scratch):
-    """Do the same with steps along which the hand stays upright."""
+    """Extend a tree to a configuration, see `_connect`, in steps that keep the hand upright."""
     near, distance = _nearest(tree, goal, rows)
     for i in range(1, checks + 1):
         share = min(1.0, LEVEL_REACH / max(distance, 1e-12))

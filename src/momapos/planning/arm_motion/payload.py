@@ -137,8 +137,7 @@ def carrying_home(robot: Robot, motion: TaskMotion, grasp: int) -> Float[np.ndar
     q = q[np.argsort(np.linalg.norm(q - home, axis=1), kind="stable")]
     step = motion.grasp_step
     spheres = with_payload(robot, motion, motion.Ts_world_tool[grasp, step], step)
-    nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
-    empty = build_world(Boxes.join([]), nothing, np.zeros(0, bool), [], spheres, clearance=0.0)
+    empty = build_world(Boxes.join([]), _NOTHING, np.zeros(0, bool), [], spheres, clearance=0.0)
     none = np.zeros(len(q), np.int64)
     codes = check(empty, chain, spheres, q, np.zeros((len(q), 3)), none, none == 0)
     center, radius = _object_spheres(motion, step)
@@ -176,7 +175,8 @@ def _leveled(
         moved = np.repeat(q[:, None], chain.size, axis=1) + small * np.eye(chain.size)
         slope = (up(moved.reshape(-1, chain.size)).reshape(*q.shape, 3) - now[:, None]) / small
         J, away = slope[..., :2], now[:, :2]
-        away = np.where(now[:, 2:] > 0.0, away, away / np.linalg.norm(away, axis=1, keepdims=True))
+        size = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+        away = np.where(now[:, 2:] > 0.0, away, away / size)
         square = np.einsum("kni,knj->kij", J, J) + 1e-4 * np.eye(2)
         step = np.linalg.solve(square, away[..., None])
         q = np.clip(q - (J @ step)[..., 0], low, high)
@@ -217,6 +217,7 @@ def carrying_states(
 
 
 _ORIGIN = np.zeros((1, 3))
+_NOTHING = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
 
 
 def boxes_near_swept_volume(
@@ -259,11 +260,10 @@ def near_boxes(
     spheres = robot.spheres
     if motion.task.verb == "place":
         spheres = with_payload(robot, motion, found.Ts_world_tool[0], motion.grasp_step)
-    nothing = MovingBoxes(np.zeros((1, 0, 3)), np.zeros((1, 0, 3, 3)), np.zeros((1, 0, 3)))
 
     def arm_hits(left: Boxes) -> Int[np.ndarray, " m"]:
         labels, free = [""] * len(left), np.zeros(0, bool)
-        world = build_world(left, nothing, free, labels, spheres, clearance=margin)
+        world = build_world(left, _NOTHING, free, labels, spheres, clearance=margin)
         return check(world, robot.chain, spheres, q, bases, none, none > 0)
 
     return (

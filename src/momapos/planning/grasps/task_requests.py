@@ -51,7 +51,7 @@ LIMIT_TOLERANCE = 1e-3
 """Values that exceed a limit by less are rounded versions of that limit [rad] or [m]."""
 MAX_GRASP_TURN, GRASP_TURN = math.pi, math.pi / 2
 """A part without limits that turns farther is turned by several grasps, by so much each [rad]: six
-robots of the library turn a hand wheel by 90 degrees with one grasp, and few by more than 180."""
+robots of the library turn a hand wheel by 90 degrees with one grasp."""
 MAX_TURN, MAX_SLIDE = 2 * math.pi, 10.0
 """Maximum motion of a task; a larger one has a wrong limit or unit [rad], [m]."""
 
