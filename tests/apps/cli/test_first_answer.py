@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,8 @@ def test_a_solved_task_of_a_new_robot_needs_no_map(
     ((((_, reach),), limit),) = queried
     assert isinstance(reach, ArmLength)
     assert limit == loading.FIRST_TIME
-    assert [words[3:] for words in started] == [["reach", "build", new]]
+    command = [sys.executable, "-P", "-m", "momapos", "reach", "build", new]
+    assert started == [command]
     assert "without its reachability map" in capsys.readouterr().err
 
 
