@@ -148,6 +148,17 @@ def test_an_object_that_no_hand_holds_has_its_own_reason(table: Scene, fetch: Ro
     assert "it is 30.0 cm wide" in str(tour.steps[-1].plan.candidates.rejections)
 
 
+@pytest.mark.parametrize(
+    ("point", "known"),
+    [("2.85,-2.75,0.9", "a face of table is at 0.740 m"), ("1,-1.5,0.5", "the floor is at 0 m")],
+)
+def test_nothing_is_put_down_in_the_air(
+    kitchen: Scene, fetch: Robot, point: str, known: str
+) -> None:
+    with pytest.raises(TaskError, match=f"nothing carries bottle at {point}; {known}"):
+        plan_tour(kitchen, fetch, [Request("bring", "bottle", None, point)])
+
+
 def test_bring_needs_a_place() -> None:
     words = error_of("place", "pick", "kitchen_small", "cup", "then", "bring", "cup")
     assert "bring cup needs a place: an object or a part of it" in words

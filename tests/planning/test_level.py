@@ -38,7 +38,7 @@ ROOM = [
     SceneObject.box("counter", (1.6, 0.6, 0.9), (0.0, 2.1, 0.45)),
     SceneObject.box("cup", (0.07, 0.07, 0.10), (0.2, 1.95, 0.95)),
 ]
-GOAL = "-0.4,2.0,0.95"
+GOAL = "-0.4,2.0,0.9"
 
 
 @pytest.fixture(scope="module")

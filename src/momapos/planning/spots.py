@@ -14,7 +14,7 @@ import numpy as np
 
 from momapos.core import TaskError, parse_quantity, unknown_name
 from momapos.core.geometry import apply, contains, pose_planar, rotation
-from momapos.model.scene import Scene, SceneObject, link_named, pieces_of, top_of
+from momapos.model.scene import Scene, SceneObject, is_carried, link_named, pieces_of, top_of
 from momapos.model.urdf import Boxes, Hull
 from momapos.planning.grasps import LIFT_HEIGHT, scene_boxes
 
@@ -61,12 +61,14 @@ def spots_for(
         heights: Between which a hand reaches [m]; other spots come last.
 
     Raises:
-        TaskError: The place is none of these, the item itself, or has no room.
+        TaskError: The place is none of these, the item itself, has no room, or is in the air.
         UnknownNameError: There is no such object, part or area.
     """
     others = scene.without(item.name)
     if "," in place:
-        return [_at_point(item, place)]
+        T = _at_point(item, place)
+        _check_carried(others, item, T, place)
+        return [T]
     name, _, part = place.partition("/")
     if name == item.name:
         raise TaskError(f"{name} cannot be put on itself; name another object, or a point")
@@ -112,6 +114,30 @@ def _at_point(item: SceneObject, text: str) -> Float[np.ndarray, "4 4"]:
     back = pose_planar(np.array([0.0, 0.0, 0.0]))
     back[:2, 3] = -np.array([x, y])
     return turn @ back @ T
+
+
+def _check_carried(
+    others: Scene, item: SceneObject, T: Float[np.ndarray, "4 4"], place: str
+) -> None:
+    """Refuse a point in the air.
+
+    Raises:
+        TaskError: Nothing carries the item there.
+    """
+    moved = replace(item, T_world_object=T)
+    if is_carried(others.objects, moved):
+        return
+    low, high = moved.bounds
+    at = (low + high)[None, :2] / 2
+    tops = [
+        (abs(z - low[2]), f"a face of {one.name} is at {z:.3f} m there")
+        for one in others.objects
+        for face in _faces(one, [*one.model.links], fine=False)
+        for z in top_of(face, at).tolist()
+        if not math.isnan(z)
+    ]
+    _, known = min([*tops, (abs(low[2]), "the floor is at 0 m")])
+    raise TaskError(f"nothing carries {item.name} at {place}; {known}")
 
 
 def _moved_to(item: SceneObject, at: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:

@@ -1,3 +1,4 @@
+from .contents import is_carried as is_carried
 from .contents import link_named as link_named
 from .contents import pieces_of as pieces_of
 from .contents import resting_on as resting_on

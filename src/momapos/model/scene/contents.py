@@ -69,6 +69,25 @@ def resting_on(
         ]
 
 
+def is_carried(objects: Sequence[SceneObject], item: SceneObject) -> bool:
+    """Return whether an item stands on objects or on the floor.
+
+    Args:
+        objects: The other objects.
+        item: The item at some pose.
+    """
+    if abs(item.bounds[0, 2]) <= MAX_GAP:
+        return True
+    base, near = _base_of(item), item.bounds + MAX_GAP * np.array([[-1.0], [1.0]])
+    shares = [
+        _carried(base, one, link)
+        for one in objects
+        if _meet(one.bounds, near)
+        for link in one.model.links
+    ]
+    return sum(shares) >= MIN_SHARE
+
+
 def _bounds(supports: Sequence[tuple[SceneObject, str, str]]) -> Float[np.ndarray, "2 3"]:
     """Return the box around links, with room for what rests on them [m]."""
     points = [
