@@ -4,6 +4,7 @@ from .base_pose_check import check_pose as check_pose
 from .base_pose_check import plan_at_pose as plan_at_pose
 from .carrying import carrier_of as carrier_of
 from .carrying import grasp_of as grasp_of
+from .chains import plan_chain as plan_chain
 from .config import BaseUse as BaseUse
 from .config import PipelineConfig as PipelineConfig
 from .floor_survey import FloorSurvey as FloorSurvey
@@ -43,4 +44,5 @@ from .task_setup import start_pose as start_pose
 from .tolerance import with_tolerance as with_tolerance
 from .tour import Request as Request
 from .tour import Tour as Tour
+from .tour import best_tour as best_tour
 from .tour import expanded as expanded

@@ -8,11 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import numpy as np
 
 from momapos.core import Clock, OutOfTimeError, SceneError, Stopwatch, TaskError
+from momapos.model import with_times
+from momapos.model.plan_files import write_tour
 from momapos.model.records import (
     ANYWHERE,
     PoseOutcome,
@@ -125,6 +127,30 @@ class Tour:
                 step = replace(step, plan=plan)
             steps.append(step)
         return replace(self, steps=tuple(steps))
+
+    def timed(self) -> Tour:
+        """Return the tour whose plans have their notes and times."""
+        return replace(self, steps=tuple(
+            replace(step, plan=with_times(step.with_notes().plan, step.prepared.robot))
+            for step in self.steps
+        ))  # fmt: skip
+
+    def save(self, out: Path) -> Tour:
+        """Write the tour, its plans and its scenes, see `with_scene_files`; return what is written.
+
+        Raises:
+            InputError: A file cannot be written.
+            SceneError: A scene cannot be written or copied.
+        """
+        tour = self.timed().with_scene_files(out)
+        write_tour(out, [one.plan for one in tour.steps], tour.stops, tour.assumed, tour.status)
+        return tour
+
+
+def best_tour(tours: Sequence[Tour]) -> Tour:
+    """Return the tour with the most solved tasks, then by status, stops and driving."""
+    order: tuple[Status, ...] = get_args(Status)
+    return min(tours, key=lambda t: (-t.done, order.index(t.status), max(t.stops), t.driving))
 
 
 def plan_requests(query: PlacementQuery, requests: Sequence[Request]) -> Tour:

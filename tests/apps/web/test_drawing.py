@@ -128,7 +128,7 @@ def test_the_tolerance_of_an_outdated_answer_is_not_shown(page: Page) -> None:
     page.layers.use_tolerance(before, before)
     assert page.shown.answer is answer
     assert page.panel.card.shown == said
-    page.shown.answer = before
+    page.shown.tour = replace(page.shown.tour, steps=(before,))
     page.state.show(Card("Something else"))
     page.layers.use_tolerance(before, answer)
     assert page.shown.answer is answer  # but a newer text stays

@@ -44,7 +44,7 @@ def picked() -> list[str]:
 
 @pytest.fixture
 def room(api: SceneApi, picked: list[str]) -> Iterator[RoomView]:
-    view = RoomView(api, picked.append)
+    view = RoomView(api, lambda name, _: picked.append(name))
     yield view
     view.remove()
 
@@ -168,7 +168,11 @@ def test_a_ray_hits_the_nearest_object() -> None:
                     u, v, t = np.linalg.solve(m, origin - a)
                     if min(u, v, t) >= 0 and u + v <= 1 and t < best:
                         best, name = t, part.object
-        assert object_hit(parts, origin, direction) == name
+        hit = object_hit(parts, SimpleNamespace(ray_origin=origin, ray_direction=direction))
+        assert (hit is None) == (name == "")
+        if hit is not None:
+            assert hit[0] == name
+            np.testing.assert_allclose(hit[1], origin + best * direction)
 
 
 def _soup(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

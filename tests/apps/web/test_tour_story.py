@@ -13,7 +13,8 @@ from tests.commands import error_of
 
 from momapos.apps.cli.main import main
 from momapos.apps.cli.view import opened_source
-from momapos.apps.web.opened import Opened, TourStory
+from momapos.apps.web.opened import Opened
+from momapos.apps.web.playback import TourStory
 from momapos.core.errors import InputError
 from momapos.model.plan_files.tour_format import read_tour
 

@@ -320,7 +320,7 @@ def _plan(
     """Plan a tour with each arm, and return the best one."""
     import numpy as np
 
-    from momapos.planning import with_tolerance
+    from momapos.planning import best_tour, with_tolerance
 
     from .compile import ANSWER, compile_once
     from .console import busy
@@ -349,10 +349,7 @@ def _plan(
     tours = plan_before_maps(
         options.robot, options.arm, plan_all, lambda found: any(t.status == "solved" for t in found)
     )
-    order = tuple(EXIT_STATUS)
-    spent = sum(one.seconds for one in tours)
-    tour = min(tours, key=lambda t: (-t.done, order.index(t.status), max(t.stops), t.driving))
-    tour = replace(tour, seconds=spent)
+    tour = replace(best_tour(tours), seconds=sum(one.seconds for one in tours))
     if options.tolerance:
         with busy(f"{tour.steps[0].plan.robot_name}: tolerance"):
             tour = replace(tour, steps=tuple(
@@ -369,20 +366,14 @@ def _deliver(tour: Tour, options: Options) -> None:
     import json
     from pathlib import Path
 
-    from momapos.model import with_times
-    from momapos.model.plan_files import plan_to_dict, tour_of, tour_to_dict, write_tour
+    from momapos.model.plan_files import plan_to_dict, tour_of, tour_to_dict
 
-    if options.out is not None or options.json:
-        tour = replace(tour, steps=tuple(
-            replace(step, plan=with_times(step.with_notes().plan, step.prepared.robot))
-            for step in tour.steps
-        ))  # fmt: skip
     if options.out is not None:
-        tour = tour.with_scene_files(options.out)
-    plans = [step.plan for step in tour.steps]
-    if options.out is not None:
-        write_tour(options.out, plans, tour.stops, tour.assumed, tour.status)
+        tour = tour.save(options.out)
+    elif options.json:
+        tour = tour.timed()
     if options.json:
+        plans = [step.plan for step in tour.steps]
         file = options.out or Path("tour.json")
         record = tour_of(file, plans, tour.stops, tour.assumed, tour.status)
         say(json.dumps(tour_to_dict(record, [plan_to_dict(plan) for plan in plans])))

@@ -13,7 +13,7 @@ from momapos.apps import plots
 from momapos.core import Clock, InputError, escape_markdown
 from momapos.model.records import ReachScorer
 from momapos.model.scene import Scene
-from momapos.planning import PlacementResult, opening_map, with_tolerance
+from momapos.planning import PlacementResult, Tour, opening_map, with_tolerance
 from momapos.planning.grasps import hand_path, in_front_of_parts
 from momapos.planning.importance import rank
 
@@ -23,11 +23,11 @@ from .cameras import Light, frame
 from .card import Card
 from .motion_view import MotionView
 from .panel import LAYERS, joint_ranges
-from .playback import Story, values_at_end
+from .playback import story_of, values_at_end
 from .question import Question, RobotArms
 from .robot_view import home_values, joint_values
 from .state import PageState
-from .words import answer_card, check_lines
+from .words import answer_card, check_lines, tour_card
 from .work import LatestWorker
 
 if TYPE_CHECKING:
@@ -232,9 +232,11 @@ class AnswerLayers:
         """
         state = self._state
         with state.drawing:
-            if state.shown.answer is not before:
+            tour = state.shown.tour
+            if tour is None or state.shown.answer is not before:
                 return
-            state.shown.answer = answer
+            steps = tuple(answer if one is before else one for one in tour.steps)
+            state.shown.tour = replace(tour, steps=steps)
             shown = state.panel.card.shown
             if shown.facts == answer_card(before).facts:
                 state.show(replace(shown, facts=answer_card(answer).facts))
@@ -343,7 +345,7 @@ class AnswerView:
         state = self._state
         with state.drawing:
             shown, robot = state.shown, arms.robots[0]
-            shown.question, shown.answer, shown.probe = question, None, None
+            shown.question, shown.tour, shown.probe = question, None, None
             shown.joints = {}
             self._motion.load(None)
             self._layers.clear()  # before the robot, which is the parent node of one of them
@@ -365,42 +367,43 @@ class AnswerView:
             state.panel.place_here.visible = False
             state.panel.show_check(() if shown.check is None else check_lines(shown.check))
 
-    def show(self, answer: PlacementResult, arms: RobotArms) -> None:
+    def show(self, tour: Tour, arms: RobotArms) -> None:
         """Draw an answer.
 
         Args:
-            answer: An answer for the scene that is shown.
+            tour: An answer for the scene that is shown, of one or more tasks.
             arms: The robot of the answer.
         """
         with self._state.drawing:
-            self._show(answer, arms)
+            self._show(tour, arms)
 
-    def _show(self, answer: PlacementResult, arms: RobotArms) -> None:
-        state, plan, robot = self._state, answer.plan, answer.prepared.robot
-        shown = state.shown
-        assert shown.scene is not None
-        shown.answer = answer
+    def _show(self, tour: Tour, arms: RobotArms) -> None:
+        state, shown = self._state, self._state.shown
+        shown.tour = tour
+        answer = shown.answer
+        assert answer is not None
+        plan, robot = answer.plan, answer.prepared.robot
         self._layers.clear()
         state.show_room()
         if state.robot.robot is not robot:
             state.robot.show(robot, state.robot.base)
             shown.probe = None
         state.room.mark(())
-        story, card = None, answer_card(answer)
+        story, card = None, tour_card(tour)
         if plan.motion is not None and plan.base_pose is not None:
             try:
-                story = Story.of(plan, robot, shown.scene)
+                story = story_of([one.plan for one in tour.steps], tour.scenes, robot)
             except InputError as error:
                 card = replace(card, notes=(*card.notes, f"no motion to show: {error}"))
             state.robot.move(np.array(plan.final_base_pose), joint_values(robot, plan.motion.q[-1]))
             if plan.task.joint is not None:
-                state.room.move(values_at_end(shown.scene, plan.task, plan.motion))
+                state.room.move(values_at_end(answer.prepared.scene, plan.task, plan.motion))
         shown_base = plan.base_pose or plan.feasible_from
         if plan.motion is None and shown_base is not None:
             state.robot.move(np.array(shown_base), home_values(robot))
         state.robot.verdict("feasible" if plan.motion is not None else "infeasible")
-        self._motion.load(story)
-        self._layers.show(shown.scene, answer, arms.reach_of(robot.arm))
+        self._motion.load(story, at_end=len(tour.steps) == 1)
+        self._layers.show(answer.prepared.scene, answer, arms.reach_of(robot.arm))
         state.show(card)
         state.panel.guide.done("choose", "place")
 

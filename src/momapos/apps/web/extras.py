@@ -16,7 +16,7 @@ from momapos.core import Clock, InputError, escape_markdown
 from momapos.model import with_times
 from momapos.model.plan_files import write_plan
 from momapos.model.scene import Scene, copied, save_scene
-from momapos.planning import PlacementResult
+from momapos.planning import Tour
 from momapos.simulation import GIF, MP4, encode_film
 
 from .motion_view import MotionView
@@ -69,16 +69,22 @@ def file_in(folder: Path, name: str) -> Path:
     return path
 
 
-def save_plan(folder: Path, name: str, answer: PlacementResult | None) -> Path:
-    """Write the plan that is shown.
+def save_plan(folder: Path, name: str, tour: Tour | None) -> Path:
+    """Write the plan that is shown; of several tasks the tour with its plans and scenes.
 
     Raises:
-        InputError: There is no answer, or the file cannot be written.
+        InputError: There is no answer, or a file cannot be written.
     """
-    if answer is None:
+    if tour is None:
         raise InputError("there is no answer yet; press Place first")
     path = file_in(folder, name)
-    write_plan(with_times(answer.plan, answer.prepared.robot), path)
+    if len(tour.steps) == 1:
+        write_plan(with_times(tour.steps[0].plan, tour.steps[0].prepared.robot), path)
+        return path
+    for number in range(1, 1 + len(tour.steps)):
+        for other in (f"{path.stem}_{number}.json", f"{path.stem}_room_{number}.json"):
+            file_in(folder, other)
+    tour.save(path)
     return path
 
 
@@ -216,7 +222,7 @@ class FileActions:
     def save_plan(self, name: str) -> None:
         """Write the plan into the working folder."""
         shown = self._state.shown
-        self._put(lambda _: _saved(save_plan(self.folder, name, shown.answer).name))
+        self._put(lambda _: _saved(save_plan(self.folder, name, shown.tour).name))
 
     def save_scene(self, name: str) -> None:
         """Write the scene into the working folder, and offer it among the scenes."""

@@ -12,7 +12,7 @@ from momapos.planning import PlacementResult
 
 from .colors import COMPARED
 from .panel import NO_MOTION
-from .playback import DetailControl, Playable, Player, Story
+from .playback import DetailControl, Playable, Player
 from .robot_view import RobotView, joint_values
 from .state import PageState
 
@@ -28,7 +28,7 @@ class ComparedAnswer:
     """An answer, and how it is drawn."""
 
     answer: PlacementResult
-    story: Story | None
+    story: Playable | None
     """None where there is no motion."""
     robot: RobotView
 
@@ -62,7 +62,6 @@ class Compare:
             return
         story, color = state.shown.story, COLORS[len(self._answers)]
         view = RobotView(state.server.scene, f"/compared{len(self._answers)}")
-        story = story if isinstance(story, Story) else None
         self._answers.append(ComparedAnswer(answer, story, view))
         state.panel.comparison.content = comparison([one.answer for one in self._answers])
         plan, robot = answer.plan, answer.prepared.robot

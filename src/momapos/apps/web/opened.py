@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from momapos.apps.export import recorded_motion
-from momapos.core import Clock, InputError
+from momapos.core import Clock
 from momapos.core.geometry import pose_wxyz, wrap_angle
 from momapos.model.records import PlacementPlan, Scan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, load_scene
-from momapos.planning import PlacementResult, prepare
+from momapos.planning import PlacementResult, Tour, prepare
 from momapos.planning.grasps import slides
 from momapos.planning.placement import Search
 from momapos.simulation import RunMotion, RunRecord
 
 from .card import Card
-from .playback import ActiveRoom, Moment, Playable, Story
+from .playback import Moment, Playable, story_of
 from .question import METHODS, Question
 from .robot_view import home_values
-from .words import run_card, target_text, tour_card
+from .words import run_card, target_text, tasks_card
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
-
     from momapos.perception import Modeled
 
 
@@ -83,55 +80,6 @@ class RunStory:
 
 
 @dataclass(frozen=True)
-class TourStory:
-    """The motions of several plans, each in its own room."""
-
-    stories: tuple[Story, ...]
-    scenes: tuple[Scene, ...]
-    """The room before each task."""
-
-    @classmethod
-    def of(cls, plans: Sequence[PlacementPlan], scenes: Sequence[Scene], robot: Robot) -> TourStory:
-        """Build the motion of solved plans.
-
-        Args:
-            plans: The plans, in order.
-            scenes: The room of each plan.
-            robot: The robot of all plans.
-
-        Raises:
-            InputError: A plan is for another robot, or there is no motion to show.
-        """
-        for number, plan in enumerate(plans, start=1):
-            if (plan.robot_urdf, plan.joints) != (plans[0].robot_urdf, plans[0].joints):
-                raise InputError(f"plan {number} of the tour is for another robot than the first")
-        stories = [Story.of(p, robot, scene) for p, scene in zip(plans, scenes, strict=True)]
-        return cls(tuple(stories), tuple(scenes))
-
-    @cached_property
-    def _ends(self) -> Float[np.ndarray, " k"]:
-        """End of each task [s]."""
-        return np.cumsum([story.duration for story in self.stories])
-
-    @property
-    def duration(self) -> float:
-        """[s]"""
-        return float(self._ends[-1])
-
-    def at(self, seconds: float) -> Moment:
-        """Return the moment at a time [s], clipped to the duration."""
-        last = len(self.stories) - 1
-        k = min(int(np.searchsorted(self._ends, seconds, side="right")), last)
-        story, began = self.stories[k], float(self._ends[k]) - self.stories[k].duration
-        moment, task = story.at(seconds - began), story.task
-        phase = (
-            f"task {k + 1} of {last + 1}, {task.verb} {task.object or task.target}: {moment.phase}"
-        )
-        room = ActiveRoom(self.scenes[k], task.object, task.joint)
-        return replace(moment, phase=phase, room=room)
-
-
-@dataclass(frozen=True)
 class Opened:
     """A plan from a file, with its scene and robot, and the run or the tour it belongs to."""
 
@@ -150,7 +98,7 @@ class Opened:
         """Description of the run or the tour; None for a single plan."""
         if self.run is not None:
             return run_card(self.run)
-        return tour_card([self.plan, *(one.plan for one in self.then)]) if self.then else None
+        return tasks_card([self.plan, *(one.plan for one in self.then)]) if self.then else None
 
     @property
     def question(self) -> Question:
@@ -165,14 +113,20 @@ class Opened:
             task.verb, target_text(task), to, method, plan.seed, plan.start, task.poses
         )  # fmt: skip
 
-    def answer(self) -> PlacementResult | None:
-        """Return the plan as an answer without a search; None for a run in another world.
+    def answer(self) -> Tour | None:
+        """Return the plans as an answer without a search; None for a run in another world.
 
         Raises:
             TaskError: The gripper cannot hold the object.
         """
         if self.run is not None and self.run.true_task is not None:
             return None
+        tasks = (self, *self.then)
+        steps = tuple(one._result() for one in tasks)
+        stops = tuple(range(1, 1 + len(tasks)))
+        return Tour(steps, stops, scenes=tuple(one.scene for one in tasks))
+
+    def _result(self) -> PlacementResult:
         plan, config = self.plan, self.question.config
         prepared = prepare(self.scene, self.robot, plan.task, config, clearance=0.0)
         start = plan.start or plan.base_pose
@@ -187,10 +141,8 @@ class Opened:
         """
         if self.run is not None:
             return RunStory.of(self.run, self.robot)
-        if self.then:
-            tasks = (self, *self.then)
-            return TourStory.of([t.plan for t in tasks], [t.scene for t in tasks], self.robot)
-        return Story.of(self.plan, self.robot, self.scene)
+        tasks = (self, *self.then)
+        return story_of([t.plan for t in tasks], [t.scene for t in tasks], self.robot)
 
 
 def quantity_text(to: float, *, slides: bool) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from viser.transforms import SO3
 from momapos.apps.export import CarriedObject
 from momapos.core import Cache, Clock
 from momapos.model.scene import Scene, load_scene
+from momapos.planning import Tour
 from momapos.workflows.scene_check import check_scene
 
 from .answer_view import READY, AnswerLayers, AnswerView
@@ -27,15 +29,15 @@ from .card import WORKING, Card
 from .extras import FileActions
 from .motion_view import Compare, MotionView
 from .opened import Opened, OpenedScan
-from .panel import Panel, Resender, how_far
+from .panel import CLICKS, Panel, Resender, how_far
 from .playback import DetailControl, values_at_end
 from .probe import Probe, ProbedPose
-from .question import VERBS, Question, RobotArms, RobotLoader, ask, ask_at, targets
+from .question import VERBS, Question, RobotArms, RobotLoader, ask, ask_at, places, targets
 from .robot_view import RobotView, home_values, joint_values
 from .room_view import RoomView
 from .scan_view import COARSE, FINE, ScanView
 from .state import Choice, PageState
-from .words import answer_card, finding_card, verdict_of
+from .words import finding_card, run_card, tour_card, verdict_of
 from .work import LatestWorker
 
 if TYPE_CHECKING:
@@ -63,7 +65,8 @@ class DragFollower:
         self._detail.scene_moved()
         self._state.robot.base = base
         self._state.panel.resender.node(gizmo)
-        self._state.panel.place_here.visible = True
+        question = self._state.shown.question
+        self._state.panel.place_here.visible = question is not None and not question.brings
         began = time.perf_counter()
         self.work.put(lambda clock: self._check(base, began, clock))
 
@@ -302,8 +305,8 @@ class Page:
         def work(clock: Clock) -> None:
             drawn = self.shown.question
             _, _, question = self._update(clock)
-            if question == drawn and self.shown.answer is not None:
-                self.state.show(answer_card(self.shown.answer))
+            if question == drawn and self.shown.tour is not None:
+                self.state.show(tour_card(self.shown.tour))
             elif question == drawn:
                 self.state.show(READY)
 
@@ -325,9 +328,9 @@ class Page:
             answer = opened.answer()
             if answer is not None:
                 self.answer.show(answer, arms)
-            if opened.card is not None:
+            if opened.run is not None:
                 self.motion.load(opened.story(), at_end=False)
-                self.state.show(opened.card)
+                self.state.show(run_card(opened.run))
 
         self._request(work)
 
@@ -350,7 +353,8 @@ class Page:
             robot = self.state.arm_of(arms)
             self.state.show(Card("Planning from here", progress=WORKING))
             reach = arms.reach_of(robot.arm)
-            self.answer.show(ask_at(scene, robot, reach, question, base, clock), arms)
+            found = ask_at(scene, robot, reach, question, base, clock)
+            self.answer.show(Tour((found,), (1,), scenes=(scene,)), arms)
 
         self._request(work)
 
@@ -407,6 +411,7 @@ class Page:
             self.panel.target, targets(scene, choice.question.verb), choice.question.target
         )
         self.panel.offer_range(how_far(scene, choice.question.verb, target))
+        self.panel.offer_places(places(scene, target) if choice.question.brings else ())
         clock()
         if shown.robot_name != (choice.robot, choice.arm):
             self._show_work(f"Loading {choice.robot}")
@@ -414,7 +419,7 @@ class Page:
             shown.arms, shown.robot_name = arms, (choice.robot, self.panel.arm.value)
             fresh = True
         assert shown.arms is not None
-        question = Question(**{**vars(self.choice.question), "target": target})
+        question = replace(self.choice.question, target=target)
         if fresh or shown.question != question:
             name = target.partition("/")[0]
             other = name not in (shown.target, self._picked)
@@ -455,15 +460,21 @@ class Page:
             base = self.robot.base[None]
             frame(self.server, self.shown.scene, self.shown.question.target, base)
 
-    def _pick(self, name: str) -> None:
-        """Select the object that a user clicks."""
-        scene = self.shown.scene
+    def _pick(self, name: str, point: Float[np.ndarray, "3"] | None) -> None:
+        """Select the object, or the place for it, that a user clicks."""
+        scene, panel = self.shown.scene, self.panel
         if scene is None:
+            return
+        if panel.clicks.visible and panel.clicks.value == CLICKS[1]:
+            if point is not None and name != panel.target.value:
+                panel.click_place(point)
+                self.change()
             return
         options = targets(scene, self.panel.verb.value)
         own = [option for option in options if option.partition("/")[0] == name]
         if own and self.panel.target.value not in own:
             self.panel.target.value, self._picked = own[0], name
+            self.panel.clicks.value = CLICKS[1]
             self.panel.guide.done("choose")
             self.change()
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
+import numpy as np
 from viser import _messages as messages
 
 from momapos.core import TaskError, escape_markdown, parse_quantity
@@ -28,6 +29,7 @@ from .playback import SPEEDS
 from .question import METHODS, VERBS
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
     from viser import GuiApi
 
 
@@ -215,6 +217,10 @@ def joint_slider(gui: GuiApi, joint: JointRange) -> Any:
     )  # fmt: skip
 
 
+POINT = "a point"
+"""Place that a user types or clicks."""
+CLICKS = ("the object", "the place")
+"""What a click in the room chooses, where an object is brought to a place."""
 WAIT = 1.0
 """Time after the last change of a control until its value is sent again [s]."""
 
@@ -350,7 +356,7 @@ class Panel:
         with tabs.add_tab("Files"):
             self._add_files()
         self.question = (self.scene, self.robot, self.arm, self.verb, self.target, self.slider,
-                         self.farthest, self.method, self.seed)  # fmt: skip
+                         self.farthest, self.goal, self.point, self.method, self.seed)  # fmt: skip
 
     def _add_task(
         self, scenes: Sequence[str], robots: Sequence[str], scene: str, robot: str
@@ -366,6 +372,9 @@ class Panel:
         self.slider = gui.add_slider("How far", min=0.0, max=90.0, step=1.0, initial_value=90.0,
                                      disabled=True)  # fmt: skip
         self.farthest = gui.add_checkbox("As far as possible", False)
+        self.goal = gui.add_dropdown("To", (POINT,), visible=False, hint="Type to search")
+        self.point = gui.add_text("Point [m]", "", visible=False, hint="Middle of the base: X,Y,Z")
+        self.clicks = gui.add_dropdown("A click chooses", CLICKS, visible=False)
         self.place = gui.add_button("Place", color="blue", hint="Key P")
         self.place_here = gui.add_button("Plan from here", hint=DRAG_HINT, visible=False)
         self.stop = gui.add_button("Stop", hint="Key X", disabled=True, visible=False)
@@ -502,9 +511,24 @@ class Panel:
             slider.min, slider.max, slider.step = how_far.low, how_far.high, how_far.step
             slider.value = how_far.usual
 
+    def offer_places(self, places: Sequence[str]) -> None:
+        """Offer where to bring an object; none where the task brings nothing."""
+        bring = bool(places)
+        if bring:
+            self.offer(self.goal, (*places, POINT), self.goal.value)
+        self.goal.visible = self.clicks.visible = bring
+        self.point.visible = bring and self.goal.value == POINT
+
+    def click_place(self, point: Float[np.ndarray, "3"]) -> None:
+        """Set the place to a point [m]."""
+        self.goal.value, self.point.visible = POINT, True
+        self.point.value = ",".join(f"{value:.3f}" for value in point.tolist())
+
     @property
     def to(self) -> str:
-        """The joint value of the task, as a user of the command line types it."""
+        """The joint value or the place of the task, as a user of the command line types it."""
+        if self.goal.visible:
+            return str(self.point.value if self.goal.value == POINT else self.goal.value)
         if self._how_far is None:
             return ""
         if self.farthest.value:

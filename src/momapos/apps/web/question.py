@@ -10,15 +10,19 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from momapos.core import Cache, Clock, Stopwatch, TaskError
-from momapos.model.records import JointVerb, ReachScorer, Task, ToolPose, Verb
+from momapos.model.records import JointVerb, ReachScorer, RequestVerb, Task, ToolPose
 from momapos.model.robots import Robot, load_arms
 from momapos.model.scene import Scene
 from momapos.planning import (
     PipelineConfig,
     PlacementQuery,
     PlacementResult,
+    Request,
+    Tour,
+    best_tour,
     cheapest,
     plan_at_pose,
+    plan_chain,
 )
 from momapos.planning.baselines import plan_with_method
 from momapos.planning.grasps import make_task, openable
@@ -29,7 +33,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 METHODS: tuple[str, ...] = get_args(Method)
-VERBS: tuple[Verb, ...] = tuple(verb for verb in get_args(Verb) if verb != "reach")
+VERBS: tuple[RequestVerb, ...] = tuple(verb for verb in get_args(RequestVerb) if verb != "reach")
 """What can be planned on the page; tool poses come from files."""
 
 
@@ -37,11 +41,11 @@ VERBS: tuple[Verb, ...] = tuple(verb for verb in get_args(Verb) if verb != "reac
 class Question:
     """A task for a robot in a room, and how to plan it."""
 
-    verb: Verb
+    verb: RequestVerb
     target: str
     """The object, or "object/joint"."""
     to: str = ""
-    """Joint value, as 60deg, 0.3m or max; "" for the verb's default."""
+    """Joint value, as 60deg, 0.3m or max; "" for the verb's default. Where to bring an object."""
     method: str = "ours"
     seed: int = 0
     start: tuple[float, float, float] | None = None
@@ -49,18 +53,23 @@ class Question:
     poses: tuple[ToolPose, ...] = ()
     """Tool poses of a plan from a file, which has no target."""
 
+    @property
+    def brings(self) -> bool:
+        """Whether the task is a tour: to pick an object up, and to place it."""
+        return self.verb == "bring"
+
     def task(self, scene: Scene) -> Task:
-        """Build the task in a room.
+        """Build the task in a room; to bring an object begins with picking it up.
 
         Raises:
             MomaposError: The room has no such object or joint, or the value is out of range.
         """
         if self.poses:
-            return Task(self.verb, "", poses=self.poses)
+            return Task("reach", "", poses=self.poses)
         name, _, joint = self.target.partition("/")
         if self.verb in get_args(JointVerb):
             return make_task(scene, self.verb, name, joint or None, self.to.strip() or None)
-        return make_task(scene, self.verb, name)
+        return make_task(scene, "pick" if self.verb == "bring" else self.verb, name)
 
     @property
     def config(self) -> PipelineConfig:
@@ -118,7 +127,7 @@ class RobotLoader:
         return self._loaded[name, arm]
 
 
-def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:
+def targets(scene: Scene, verb: RequestVerb) -> tuple[str, ...]:
     """List the targets of a verb in a room: joints with handles first, or small objects first."""
     if verb in get_args(JointVerb):
         handled = [f"{name}/{joint}" for name, joint in openable(scene)]
@@ -126,6 +135,13 @@ def targets(scene: Scene, verb: Verb) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*handled, *every)))
     rigid = [item for item in scene.objects if not item.model.joints and item.category != "wall"]
     return tuple(o.name for o in sorted(rigid, key=lambda o: float(np.ptp(o.bounds, axis=0).max())))
+
+
+def places(scene: Scene, name: str) -> tuple[str, ...]:
+    """List where an object can be put in a room: on others, on their parts, in areas."""
+    others = [item for item in scene.objects if item.name != name and item.category != "wall"]
+    parts = (f"{item.name}/{joint}" for item in others for joint in item.model.joints)
+    return (*(item.name for item in others), *parts, *scene.areas)
 
 
 class ReportingStopwatch(Stopwatch):
@@ -151,8 +167,8 @@ def ask(
     question: Question,
     clock: Clock,
     report: Callable[[str], None],
-) -> PlacementResult:
-    """Answer where the robot must stand.
+) -> Tour:
+    """Answer where the robot must stand; most answers are a tour of one task.
 
     Args:
         scene: The room.
@@ -165,8 +181,10 @@ def ask(
         MomaposError: The task does not fit the room or the robot.
     """
     task, config = question.task(scene), question.config
+    if question.brings and config.place.method not in OURS:
+        raise TaskError(f"bring needs the method {' or '.join(OURS)}, not {config.place.method}")
     start = None if question.start is None else np.array(question.start)
-    answers = []
+    answers, tours = list[PlacementResult](), list[Tour]()
     for robot, reach in zip(arms.robots, arms.maps, strict=True):
         if config.place.method not in OURS:
             report(f"search with {config.place.method}")
@@ -174,8 +192,13 @@ def ask(
             scene, robot, task, reach, start, config, seed=question.seed,
             watch=ReportingStopwatch(clock, report),
         )  # fmt: skip
-        answers.append(plan_with_method(query))
-    return cheapest(answers, farthest=task.farthest)
+        if question.brings:
+            tours.append(plan_chain(query, [Request("bring", task.object, None, question.to)]))
+        else:
+            answers.append(plan_with_method(query))
+    if tours:
+        return best_tour(tours)
+    return Tour((cheapest(answers, farthest=task.farthest),), (1,), scenes=(scene,))
 
 
 def ask_at(

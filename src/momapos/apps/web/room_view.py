@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from viser.transforms import SO3
@@ -169,18 +169,20 @@ class ColoredSurface:
         return np.stack([self.surface.vertices.min(0), self.surface.vertices.max(0)])
 
 
+Picked: TypeAlias = "Callable[[str, Float[np.ndarray, '3'] | None], None]"
+"""Called with the object that a user clicks, and where, if that is known [m]."""
+
+
 class ObjectBatches:
     """Draws objects in few nodes, and sends only the nodes that change."""
 
-    def __init__(
-        self, api: SceneApi, name: str, picked: Callable[[str], None] | None = None
-    ) -> None:
+    def __init__(self, api: SceneApi, name: str, picked: Picked | None = None) -> None:
         """Draw nothing yet.
 
         Args:
             api: Where to draw.
             name: Prefix of the nodes' names.
-            picked: Called with the object that a user clicks.
+            picked: Called with the name of an object that a user clicks, and where [m].
         """
         self._api, self._name, self._picked = api, name, picked
         self._parts: tuple[ColoredSurface, ...] = ()
@@ -234,9 +236,9 @@ class ObjectBatches:
         self._listens = wanted
 
     def _clicked(self, event: Any) -> None:
-        name = object_hit(self._parts, np.array(event.ray_origin), np.array(event.ray_direction))
-        if self._picked is not None and name not in ("", self._left_out):
-            self._picked(name)
+        hit = object_hit(self._parts, event)
+        if self._picked is not None and hit is not None and hit[0] != self._left_out:
+            self._picked(*hit)
 
 
 def batched(parts: Sequence[ColoredSurface]) -> list[list[ColoredSurface]]:
@@ -255,19 +257,17 @@ def batched(parts: Sequence[ColoredSurface]) -> list[list[ColoredSurface]]:
 
 
 def object_hit(
-    parts: Sequence[ColoredSurface],
-    origin: Float[np.ndarray, "3"],
-    direction: Float[np.ndarray, "3"],
-) -> str:
-    """Return the first object that a ray hits; "" where it hits none.
+    parts: Sequence[ColoredSurface], event: Any
+) -> tuple[str, Float[np.ndarray, "3"]] | None:
+    """Return the first object that the ray of a click hits, and where [m]; None where it hits none.
 
     Args:
         parts: The surfaces.
-        origin: Origin of the ray [m].
-        direction: Direction of the ray.
+        event: The click.
     """
+    origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
     if not parts:
-        return ""
+        return None
     bounds = np.stack([part.bounds for part in parts])
     with np.errstate(divide="ignore", invalid="ignore"):
         crossed = np.sort((bounds - origin) / direction, axis=1)  # NaN along a face
@@ -275,8 +275,9 @@ def object_hit(
     near = np.flatnonzero((enters <= leaves) & (leaves >= 0.0)).tolist()
     distances = [_distance(parts[k].surface, origin, direction) for k in near]
     if not distances or min(distances) == np.inf:
-        return ""
-    return parts[near[int(np.argmin(distances))]].object
+        return None
+    nearest = int(np.argmin(distances))
+    return parts[near[nearest]].object, origin + distances[nearest] * direction
 
 
 def _distance(
@@ -382,12 +383,12 @@ def enlarged(surface: Surface, by: float) -> Surface:
 class RoomView:
     """Draws a scene, and sends only changes."""
 
-    def __init__(self, api: SceneApi, picked: Callable[[str], None] | None = None) -> None:
+    def __init__(self, api: SceneApi, picked: Picked | None = None) -> None:
         """Draw nothing yet.
 
         Args:
             api: Where to draw.
-            picked: Called with the name of an object that a user clicks.
+            picked: Called with the name of an object that a user clicks, and where [m].
         """
         self._api, self._picked = api, picked
         self._batches = ObjectBatches(api, f"{ROOT}/batch", picked)
@@ -606,9 +607,14 @@ class RoomView:
         return [ColoredSurface(item.name, one, rgb(color)) for one, color in both if len(one.faces)]
 
     def _listen(self, node: Any, name: str) -> None:
-        picked = self._picked
-        if picked is not None:
-            node.on_click(lambda _: picked(name))
+        if self._picked is not None:
+            node.on_click(lambda event: self._clicked(name, event))
+
+    def _clicked(self, name: str, event: Any) -> None:
+        assert self.scene is not None
+        assert self._picked is not None
+        hit = object_hit(self._simple_parts(self.scene.object(name)), event)
+        self._picked(name, None if hit is None else hit[1])
 
     def _mesh(
         self, name: str, surface: Surface, color: Color, *, opacity: float | None = None,

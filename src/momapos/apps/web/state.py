@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning import PlacementResult
+from momapos.planning import PlacementResult, Tour
 from momapos.workflows.scene_check import SceneReport
 
 from .card import Card
@@ -52,11 +52,19 @@ class Shown:
     """Robot and arm."""
     arms: RobotArms | None = None
     question: Question | None = None
-    answer: PlacementResult | None = None
+    tour: Tour | None = None
+    """The answer: a task, or several."""
     story: Playable | None = None
     probe: Probe | None = None
     joints: dict[str, float] = field(default_factory=dict)
     """Joints of the object that a user has moved, and the others at that time [rad] or [m]."""
+
+    @property
+    def answer(self) -> PlacementResult | None:
+        """The task of the answer whose layers are drawn: the first one, or the one that fails."""
+        if self.tour is None:
+            return None
+        return self.tour.steps[0 if self.tour.steps[-1].plan.feasible else -1]
 
     @property
     def target(self) -> str:

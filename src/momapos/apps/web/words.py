@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 from momapos.apps.plots import task_text, value_text
 from momapos.core import length_text
 from momapos.model.records import PlacementPlan, Task
 from momapos.model.scene import Scene
-from momapos.planning import PlacementResult
+from momapos.planning import PlacementResult, Tour
 from momapos.planning.grasps import slides
 from momapos.simulation import RunRecord
 from momapos.workflows.scene_check import (
@@ -169,14 +170,26 @@ def run_card(record: RunRecord) -> Card:
     )  # fmt: skip
 
 
-def tour_card(plans: Sequence[PlacementPlan]) -> Card:
+def tour_card(tour: Tour) -> Card:
+    """Describe an answer of one task; list the tasks of several, or say why one has no plan."""
+    plans = [step.plan for step in tour.steps]
+    if len(plans) == 1 or not plans[-1].feasible:
+        return answer_card(tour.steps[-1])
+    return tasks_card(plans)
+
+
+def tasks_card(plans: Sequence[PlacementPlan]) -> Card:
     """List the tasks of a tour and their base poses."""
     driven = sum(plan.navigation_cost or 0.0 for plan in plans)
     facts = [("drive", f"{driven:.2f} m")]
     for number, plan in enumerate(plans, start=1):
         at = "" if plan.base_pose is None else f" from {pose_text(plan.base_pose)}"
         facts.append((f"{number}.", f"{plan.task.verb} {plan.task.target}{at}"))
-    picks = any(plan.task.verb == "pick" for plan in plans[:-1])
+    picks = any(
+        plan.task.verb == "pick"
+        and (then.task.verb, then.task.object) != ("place", plan.task.object)
+        for plan, then in pairwise(plans)
+    )
     notes = ("A picked object is drawn at its old place when the next task begins.",) * picks
     tasks = [f"{plan.task.verb} {plan.task.target}" for plan in plans]
     more = [f"{len(tasks) - MAX_TITLES} more"] if len(tasks) > MAX_TITLES else []
@@ -195,7 +208,8 @@ def finding_card(finding: ProbedPose, probe: Probe, seconds: float) -> Card:
     notes += [] if finding.complete else ["not all grasps tried yet"]
     tones: dict[str, Tone] = {"feasible": "good", "partly": "part", "infeasible": "bad"}
     tone = tones[verdict_of(finding)]
-    return Card(verdict_text(finding, probe), tone, "", tuple(facts), tuple(notes))
+    title = f"{probe.task.verb} {probe.task.target}"
+    return Card(verdict_text(finding, probe), tone, title, tuple(facts), tuple(notes))
 
 
 def verdict_text(finding: ProbedPose, probe: Probe) -> str:
