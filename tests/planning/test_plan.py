@@ -21,6 +21,7 @@ from momapos.model.scene.scene_files import save_scene
 from momapos.planning.base_pose_check import plan_at_pose
 from momapos.planning.chains import plan_chain
 from momapos.planning.config import PipelineConfig
+from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_requests import make_task
 from momapos.planning.keyword_forms import iter_placements, plan_base_placement
 from momapos.planning.placement.config import Method, PlaceConfig
@@ -140,7 +141,8 @@ def test_a_part_that_is_blocked_on_its_motion_is_infeasible_with_the_reason(
     }[verb]
     scene = cabinet_room(tmp_path, extra=extra)
     task = make_task(scene, verb, "cabinet" if verb == "open" else "cup")
-    plan = plan_base_placement(scene, ranger, task, Everywhere()).plan
+    up = PipelineConfig(motion=MotionConfig(retreat="up"))
+    plan = plan_base_placement(scene, ranger, task, Everywhere(), config=up).plan
     assert plan.status == "infeasible"
     (reason,) = plan.candidates.rejections
     if verb == "open":

@@ -1,4 +1,4 @@
-"""Answer a question with each handle of a part in turn, and with hands that are less open.
+"""Answer a question with each handle, each retreat, and hands that are less open, in turn.
 
 Fully open fingers can hit the panel behind a handle, a neighbor or a post. A hand that is open to
 a width between the handle's thickness and its own opening passes them. Which widths help is known
@@ -22,6 +22,7 @@ from momapos.planning.grasps import (
     SAME_LINE,
     TaskMotion,
     held_thickness,
+    rigid_retreats,
     shifted_along,
     with_other_handle,
 )
@@ -60,6 +61,30 @@ def with_any_grasp(query: PlacementQuery, with_first_handle: Answer) -> Placemen
     if answer.plan.status == "infeasible":
         return unless_late(lambda: with_narrower_hand(query, answer, with_each_handle), answer)
     return answer
+
+
+def with_any_retreat(query: PlacementQuery, plan: Answer) -> PlacementResult:
+    """Return the first answer with a plan, by the ways in which a rigid object can leave.
+
+    They are chosen in the scene as it is: a shelf that is a box leaves no room. If none has a plan,
+    the answer is that for the first one.
+
+    Args:
+        query: The question.
+        plan: Answers a question.
+    """
+    if query.task.joint is not None or query.task.poses or not query.robot.has_gripper:
+        return plan(query)
+    config, first = query.config, None
+    for way in rigid_retreats(query.scene, query.robot, query.task, config.motion):
+        how = replace(config.motion, lift=way.lift, slide=way.slide)
+        ask = partial(plan, replace(query, config=replace(config, motion=how)))
+        found = ask() if first is None else unless_late(ask, first)
+        if found.plan.status != "infeasible":
+            return found
+        first = first or found
+    assert first is not None
+    return first
 
 
 def with_any_handle(query: PlacementQuery, with_first_handle: Answer) -> PlacementResult:

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from momapos.core import InputError
-from momapos.planning.grasps import TaskMotion, hand_path, lift_of, own_poses, task_motion
+from momapos.planning.grasps import TaskMotion, hand_path, own_poses, task_motion
 from momapos.planning.importance import Selection, rank
 from momapos.planning.placement import OURS, search
 
-from .any_grasp import with_any_grasp
+from .any_grasp import with_any_grasp, with_any_retreat
 from .base_use import with_other_use
 from .max_opening import plan_max_opening
 from .query import PlacementQuery
@@ -74,7 +74,7 @@ def plan_to_value(query: PlacementQuery) -> PlacementResult:
 
 def _from_one_pose(query: PlacementQuery) -> PlacementResult:
     """Answer the query with a base that stands at one pose."""
-    return with_any_grasp(query, _with_first_handle)
+    return with_any_retreat(query, lambda one: with_any_grasp(one, _with_first_handle))
 
 
 def _with_first_handle(query: PlacementQuery) -> PlacementResult:
@@ -85,11 +85,7 @@ def _with_first_handle(query: PlacementQuery) -> PlacementResult:
         path = hand_path(scene, task.object, task.joint, task.to)
         ranked = rank(scene, task.object, config.ranking, path=path, seed=query.seed)
     with watch.stage("model"):
-        how = config.motion
-        if task.joint is None and how.lift is None:
-            # In the scene as it is: a shelf that is a box leaves no room.
-            how = replace(how, lift=lift_of(scene, task.object))
-        motion = task_motion(scene.with_box_proxies({task.object}), robot, task, how)
+        motion = task_motion(scene.with_box_proxies({task.object}), robot, task, config.motion)
     selection = initial_selection(query, ranked, motion)
     first = _search(query, selection, motion)
     result = unless_late(lambda: _with_larger_models(query, selection, motion, first), first)

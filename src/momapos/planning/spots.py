@@ -86,7 +86,10 @@ def spots_for(
         found = _on_floor(np.array(scene.areas[place]), half)
     else:
         raise unknown_name("place", place, [*sorted(names), *scene.areas], f"scene {scene.name}")
-    found = found[_is_free(found, half, scene_boxes(others), yaw)]
+    boxes = scene_boxes(others)
+    roomy = found[_is_free(found, half, boxes, yaw, LIFT_HEIGHT)]
+    # Where nothing can be let down, it may be pushed in.
+    found = roomy if len(roomy) else found[_is_free(found, half, boxes, yaw, FLAT)]
     if not len(found):
         raise TaskError(
             f"{place} has no room for {item.name}, which needs a flat face of "
@@ -218,22 +221,27 @@ def _boxes_in(
 
 
 def _is_free(
-    spots: Float[np.ndarray, "n 3"], half: Float[np.ndarray, "3"], obstacles: Boxes, yaw: float
+    spots: Float[np.ndarray, "n 3"],
+    half: Float[np.ndarray, "3"],
+    obstacles: Boxes,
+    yaw: float,
+    above: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Return at which spots an item has room, also to be let down.
+    """Return at which spots an item has room.
 
     Args:
         spots: Middles of its base [m].
         half: Half its extents in a frame turned about z [m].
         obstacles: Boxes of everything else.
         yaw: Direction of that frame [rad].
+        above: Free height above it [m].
     """
     local = spots.copy()
     local[:, :2] = local[:, :2] @ rotation(yaw)
     around = np.array([half[0] + ROOM, half[1] + ROOM, 0.0])
     bottom, top = local - around, local + around
     bottom[:, 2] += FLAT
-    top[:, 2] += 2.0 * half[2] + LIFT_HEIGHT
+    top[:, 2] += 2.0 * half[2] + above
     hit = np.zeros(len(spots), bool)
     for low, high in zip(*_boxes_in(obstacles, yaw), strict=True):
         hit |= ((bottom < high) & (top > low)).all(1)

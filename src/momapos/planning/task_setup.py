@@ -85,7 +85,10 @@ class PreparedTask:
     @cached_property
     def blocked(self) -> str:
         """Return what blocks the part itself along its motion; "" if it is free."""
-        return self.verifier.blocked(self.motion.lift) or ""
+        retreat = self.motion.retreat
+        if retreat is None:
+            return self.verifier.blocked(0.0) or ""
+        return self.verifier.blocked(retreat.lift, retreat.slide) or ""
 
     @property
     def infeasible_reason(self) -> str:

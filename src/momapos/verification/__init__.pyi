@@ -4,7 +4,7 @@ from .exact_check import PlanVerifier as PlanVerifier
 from .hand_checks import HOLD_CHECK as HOLD_CHECK
 from .hand_checks import depth_between as depth_between
 from .part_sweep import SHORT_TRAVEL as SHORT_TRAVEL
-from .part_sweep import free_lift as free_lift
+from .part_sweep import free_length as free_length
 from .part_sweep import meets_floor_at as meets_floor_at
 from .part_sweep import obstructing_links as obstructing_links
 from .plan_check import check_plan_numbers as check_plan_numbers

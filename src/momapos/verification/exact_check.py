@@ -28,7 +28,7 @@ from .motion_loads import (
     outside,
     robot_efforts,
 )
-from .moved_part import split
+from .moved_part import split, way_of
 from .part_sweep import depths_below_floor, dips, part_sweep_check
 from .path_checks import (
     base_path_checks,
@@ -189,14 +189,17 @@ class PlanVerifier:
             return None
         return f"{first.name}: {first.culprit}" if first.culprit else first.name
 
-    def blocked(self, lift: float) -> str | None:
+    def blocked(self, lift: float, slide: Sequence[float] = (0.0, 0.0, 0.0)) -> str | None:
         """Return what the part hits on its path, wherever the robot stands; None if it is free.
 
         Args:
             lift: Height to which an object without a joint is lifted [m].
+            slide: By which vector it is slid before [m].
         """
-        goal = self.part.goal if self.part.joint is not None else lift
-        return self.part_sweep.first_hit(goal)
+        if self.part.joint is not None:
+            return self.part_sweep.first_hit(self.part.goal)
+        part = replace(self.part, way=way_of(lift, slide))
+        return replace(self.part_sweep, part=part).first_hit(lift + float(np.linalg.norm(slide)))
 
     def check(self, base_pose: tuple[float, float, float], motion: Motion) -> Report:
         """Check a motion from a base pose on.

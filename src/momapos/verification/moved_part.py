@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, get_args
 
@@ -44,13 +44,23 @@ class MovedLatch:
     """Index of the body that it moves."""
 
 
+MAX_WAY = 10.0
+"""Length of the path of an object that is lifted [m]."""
+
+
+def way_of(lift: float, slide: Sequence[float] = (0.0, 0.0, 0.0)) -> Float[np.ndarray, "3 3"]:
+    """Return the corners of the path of an object that is slid and then lifted [m]."""
+    out = np.array(slide, float)
+    return np.stack([np.zeros(3), out, out + np.array([0.0, 0.0, lift])])
+
+
 @dataclass(frozen=True, eq=False)
 class MovedPart:
     """The links that a joint and its mimic joints move, or a whole object."""
 
     name: str
     joint: Joint | None
-    """None for a whole object; its value is then the height to which it is lifted [m]."""
+    """None for a whole object; its value is then how far it is moved along `way` [m]."""
     start: float
     """Value of the joint in the scene [rad] or [m]."""
     rest: float
@@ -65,6 +75,8 @@ class MovedPart:
     """The latch to turn; None if there is none."""
     links: Mapping[str, tuple[int, Float[np.ndarray, "4 4"]]] = field(default_factory=dict)
     """The body that carries each of its links, and the link's pose in it."""
+    way: Float[np.ndarray, "k 3"] = field(default_factory=lambda: way_of(MAX_WAY))
+    """Corners of the path of a whole object, relative to where it stands [m]."""
 
     def turned(self, count: int) -> Float[np.ndarray, " n"] | None:
         """Return values of the turned latch, for a number of states; None without a latch."""
@@ -84,7 +96,8 @@ class MovedPart:
                 leaders[self.latch.joint.name] = rest if latch_q is None else latch_q
             return self.paths.at(leaders)
         Ts = np.repeat(self.paths.offsets[None], len(values), axis=0)
-        Ts[:, 0, 2, 3] += values
+        at = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.way, axis=0), axis=1)))
+        Ts[:, 0, :3, 3] += np.stack([np.interp(values, at, x) for x in self.way.T], axis=1)
         return Ts
 
     def placed(

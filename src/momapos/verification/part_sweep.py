@@ -10,7 +10,7 @@ So may the bodies of a part that move against each other, such as the leaves of 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -24,7 +24,15 @@ from momapos.model.scene import Scene, SceneObject
 
 from .convex import overlap
 from .exact_shapes import Shapes, hulls_of, join, link_of_label, triangle_shapes
-from .moved_part import MovedPart, OwnElements, moved_part, split, split_object, within_part
+from .moved_part import (
+    MovedPart,
+    OwnElements,
+    moved_part,
+    split,
+    split_object,
+    way_of,
+    within_part,
+)
 from .report import DEFAULT, Limits
 from .sweep import Overlaps, all_pairs, deepest
 
@@ -37,7 +45,7 @@ MAX_DIP = 1e-3
 TOUCH = 1e-5
 """Depth at which a part that would extend deeper meets the floor [m]."""
 LIFT_STEP = 0.002
-"""Distance between the heights at which a lift is checked [m]."""
+"""Distance between the places at which an object on its way is checked [m]."""
 SHORT_TRAVEL = 0.05
 """Motions up to this length are stated in tenths of millimeters [m]."""
 _FINE_STEPS = 33
@@ -293,7 +301,8 @@ class PartSweepCheck:
     def _at(self, value: float, goal: float) -> str:
         start, joint = self.part.start, self.part.joint
         if joint is None:
-            return f"when lifted by {value:.2f} of {goal:.2f} m"
+            how = "moved" if self.part.way[:, :2].any() else "lifted"
+            return f"when {how} by {value:.2f} of {goal:.2f} m"
         if joint.kind == "prismatic":
             digits = 2 if abs(goal - start) > SHORT_TRAVEL else 4
             here, begin, end = (f"{x:.{digits}f}" for x in (value, start, goal))
@@ -629,19 +638,28 @@ def obstructing_links(scene: Scene, task: Task, limits: Limits = DEFAULT) -> fro
     return part_sweep_check(part, fixed, own, limits).obstructions(part.goal)
 
 
-def free_lift(scene: Scene, name: str, most: float, limits: Limits = DEFAULT) -> float:
-    """Return by how much an object can be lifted before it hits something, at most `most` [m].
+def free_length(
+    scene: Scene, name: str, lift: float, slide: Sequence[float] = (0.0, 0.0, 0.0)
+) -> float:
+    """Return how far an object can be slid and then lifted before it hits something [m].
 
     Args:
         scene: The scene.
         name: The object, which has no joints.
-        most: Largest lift [m].
-        limits: Allowed overlap, also relative to the given scene.
+        lift: By how much it is lifted at the end [m].
+        slide: By which vector it is slid before [m].
     """
-    check = part_sweep_check(*split(scene, Task("pick", name)), limits)
-    heights = np.linspace(0.0, most, max(2, math.ceil(most / LIFT_STEP) + 1))
+    check = _loose_check(scene, name)
+    check = replace(check, part=replace(check.part, way=way_of(lift, slide)))
+    most = lift + float(np.linalg.norm(slide))
+    lengths = np.linspace(0.0, most, max(2, math.ceil(most / LIFT_STEP) + 1))
     hits = np.flatnonzero(check.excess(most) > 0.0)
-    Ts = check.placed(heights)
+    Ts = check.placed(lengths)
     states = [check._first_state(pair, Ts) for pair in hits.tolist()]
-    first = min((state for state in states if state is not None), default=len(heights))
-    return float(heights[first - 1]) if first else 0.0
+    first = min((state for state in states if state is not None), default=len(lengths))
+    return float(lengths[first - 1]) if first else 0.0
+
+
+@owner_cache(8)
+def _loose_check(scene: Scene, name: str) -> PartSweepCheck:
+    return part_sweep_check(*split(scene, Task("pick", name)), DEFAULT)

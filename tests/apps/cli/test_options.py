@@ -42,7 +42,7 @@ def read_config(
 
 
 @pytest.mark.parametrize(
-    ("command", "most"), [("place open", 30), ("place pick", 30), ("rank", 15), ("solve", 32)]
+    ("command", "most"), [("place open", 31), ("place pick", 31), ("rank", 15), ("solve", 32)]
 )
 def test_a_help_text_has_few_options(
     command: str, most: int, monkeypatch: pytest.MonkeyPatch

@@ -34,7 +34,9 @@ def test_an_object_is_brought_to_a_clicked_point_and_the_tour_is_saved(page: Pag
     assert panel.clicks.value == CLICKS[1]  # the next click chooses the place
     top = scene.object("table").bounds
     at = np.array([*top.mean(0)[:2], top[1, 2]])
-    above = SimpleNamespace(ray_origin=at + [0.0, 0.0, 2.0], ray_direction=(0.0, 0.0, -1.0))
+    above = SimpleNamespace(
+        ray_origin=at + np.array([0.0, 0.0, 2.0]), ray_direction=(0.0, 0.0, -1.0)
+    )
     page.room._clicked("table", above)
     page.place()
     assert page.work.wait(LONG)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from tyro.conf import arg
 
@@ -46,6 +46,7 @@ from .options import (
     ValueArg,
     check_samples,
     exit_status,
+    optional,
 )
 
 if TYPE_CHECKING:
@@ -257,6 +258,9 @@ class CarryOptions(Options):
     lift: ValueArg = None
     """How far a rigid object is lifted and let down, such as 2cm or 0 (default: 5 cm, or less where
     it would hit something)."""
+    retreat: Annotated[Literal["up", "back", "out"] | None, optional("WAY")] = None
+    """How a rigid object leaves where it stands, and reversed gets there: lifted up, drawn back
+    along the hand's approach, or drawn out horizontally (default: up, or else out)."""
     level: ValueArg = None
     """Largest tilt of an object in the hand, such as 15deg for a full cup (default: any)."""
 
@@ -271,6 +275,8 @@ class CarryOptions(Options):
         motion = config.motion
         if self.lift is not None:
             motion = replace(motion, lift=parse_quantity(self.lift).length("--lift:"))
+        if self.retreat is not None:
+            motion = replace(motion, retreat=self.retreat)
         if self.level is not None:
             level = math.degrees(parse_quantity(self.level).angle("--level:"))
             motion = replace(motion, level=level)

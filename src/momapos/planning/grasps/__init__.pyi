@@ -18,12 +18,12 @@ from .own_grasps import shifted_along as shifted_along
 from .pose_targets import PoseTargets as PoseTargets
 from .pose_targets import targets_of as targets_of
 from .pose_targets import tool_poses_of as tool_poses_of
+from .retreats import LIFT_HEIGHT as LIFT_HEIGHT
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
-from .task_motions import LIFT_HEIGHT as LIFT_HEIGHT
 from .task_motions import GraspFilter as GraspFilter
 from .task_motions import in_scene as in_scene
-from .task_motions import lift_of as lift_of
+from .task_motions import rigid_retreats as rigid_retreats
 from .task_motions import task_motion as task_motion
 from .task_motions import with_other_handle as with_other_handle
 from .task_requests import PartFacts as PartFacts

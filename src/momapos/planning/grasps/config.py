@@ -89,6 +89,12 @@ class MotionConfig:
     lift: Optional[float] = None  # noqa: UP045 (see cli.options)
     """Height by which a rigid object is lifted, or let down; None for 5 cm, or less where it would
     hit something [m]."""
+    retreat: Optional[Literal["up", "back", "out"]] = None  # noqa: UP045
+    """How a rigid object leaves where it stands, and reversed gets there: lifted up, drawn back
+    along the hand's approach, or drawn out horizontally by the shortest path, and then lifted. None
+    for up, or else out."""
+    slide: Optional[tuple[float, float, float]] = None  # noqa: UP045
+    """By which vector it is drawn before it is lifted; None to choose it [m]."""
     level: Optional[float] = None  # noqa: UP045
     """Largest tilt of an object in the hand from how it stands, as of a full cup: on every path of
     the arm, and while the base drives; None for any [deg]."""

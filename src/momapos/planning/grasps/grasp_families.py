@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -221,6 +221,10 @@ class GraspSelection:
     """Why none of them holds; "" if they do."""
     better_handle_reason: str
     """Why a better handle is not used; "" if there is none."""
+
+    def take(self, rows: Bool[np.ndarray, " g"]) -> GraspSelection:
+        """Return some of the grasps."""
+        return replace(self, Ts_part_tool=self.Ts_part_tool[rows], grasps=self.grasps.take(rows))
 
 
 def select_part_grasps(

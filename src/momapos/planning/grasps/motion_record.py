@@ -21,6 +21,7 @@ from momapos.model.urdf import Boxes, MovingBoxes
 
 from .grasp_families import Grasps, GraspSelection
 from .handles import Handle, HandleKind
+from .retreats import Retreat
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -206,6 +207,8 @@ class TaskMotion:
     """What the part pulls beyond its resistance, against the hand's motion [N]."""
     weight: Weight | None = None
     """Weight of a rigid object; None for the part of a joint."""
+    retreat: Retreat | None = None
+    """How a rigid object leaves where it stands; None for the part of a joint."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -229,7 +232,7 @@ class TaskMotion:
     @property
     def lift(self) -> float:
         """Return by how much a rigid object is lifted or let down [m]; 0 for a part."""
-        return 0.0 if self.weight is None else float(np.ptp(self.weight.center[:, 2]))
+        return 0.0 if self.retreat is None else self.retreat.lift
 
     @property
     def closed(self) -> Bool[np.ndarray, " d"]:

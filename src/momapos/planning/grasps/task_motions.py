@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from momapos.core import TaskError, owner_cache
+from momapos.core import TaskError
 from momapos.core.geometry import apply, invert
 from momapos.model.records import Latch, Task
 from momapos.model.robots import Robot
@@ -23,7 +23,6 @@ from momapos.model.scene import (
     resistance_along,
 )
 from momapos.model.urdf import Articulated, Joint, opening_of
-from momapos.verification import free_lift
 
 from .config import SUBSTEPS, GraspConfig, MotionConfig
 from .grasp_families import (
@@ -42,6 +41,7 @@ from .own_grasps import own_poses
 from .part_grasps import pinch_capacity
 from .part_motion import lever_arms, levers_along, motion_directions
 from .pose_targets import targets_of, tool_poses_of
+from .retreats import Retreat, along_slide, retreats
 from .rigid_grasps import select_object_grasps
 
 if TYPE_CHECKING:
@@ -138,25 +138,6 @@ def select_latch_grasps(
     return GraspSelection(
         chosen.Ts_part_tool[strong], chosen.grasps.take(strong), "", chosen.better_handle_reason
     )
-
-
-LIFT_HEIGHT = 0.05
-"""Height by which a rigid object is lifted, where nothing is above it [m]."""
-LOW_LIFTS = (0.03, 0.02, 0.01, 0.005)
-"""Heights that are tried where it would hit something [m]."""
-LIFT_ROOM = 0.012
-"""Free height above a lifted object, a little more than arms keep from everything [m]."""
-
-
-@owner_cache()
-def lift_of(scene: Scene, name: str) -> float:
-    """Return by how much an object is lifted where it stands, and let down [m].
-
-    This is `LIFT_HEIGHT`, or the largest lower height at which it hits nothing.
-    """
-    room = LIFT_HEIGHT + LIFT_ROOM
-    free = free_lift(scene, name, room) - LIFT_ROOM
-    return next((h for h in (LIFT_HEIGHT, *LOW_LIFTS) if h <= free), LIFT_HEIGHT)
 
 
 def task_motion(
@@ -359,22 +340,21 @@ def _straight_approach(
 def _rigid_motion(
     scene: Scene, robot: Robot, task: Task, target: SceneObject, config: MotionConfig
 ) -> TaskMotion:
-    """Build the motion of a rigid object: approach, grasp, lift; reversed to place it."""
+    """Build the motion of a rigid object: approach, grasp, retreat; reversed to place it."""
     if not robot.has_gripper:
         raise TaskError(
             f"{robot.name} has no gripper, so it cannot {task.verb} {target.name!r}; "
             "gripper_links must name links beyond the arm's own links"
         )
     T_object = _upright_frame(target)
-    chosen = select_object_grasps(
-        robot, target, T_object, config.grasps, carried=task.verb == "place",
-        own=own_poses(robot, target.name, None),
-    )  # fmt: skip
+    chosen, approaches = _object_grasps(robot, task, target, T_object, config)
+    retreat = next(retreats(scene, task.object, config, approaches))
+    if config.retreat == "back" and retreat.length:
+        chosen = chosen.take(along_slide(retreat.slide, approaches))
     Ts_object_tool = chosen.Ts_part_tool
-    lift = lift_of(scene, task.object) if config.lift is None else config.lift
-    lifts = np.linspace(0.0, lift, SUBSTEPS + 1)
-    Ts_world_object = np.tile(T_object, (len(lifts), 1, 1))
-    Ts_world_object[:, 2, 3] += lifts
+    places = retreat.path(config)
+    Ts_world_object = np.tile(T_object, (len(places), 1, 1))
+    Ts_world_object[:, :3, 3] += places
     weight = _weight(target, Ts_world_object, T_object, config)
     T_object_link = {n: invert(T_object) @ T for n, T in target.link_poses().items()}
     moving, moving_labels, grasped = moving_boxes(target, [(Ts_world_object, T_object_link)], None)
@@ -384,15 +364,15 @@ def _rigid_motion(
     if task.verb == "pick":
         hold = Ts_world_object[None] @ Ts_object_tool[:, None]
         Ts = np.concatenate([approach, hold], axis=1)
-        value = np.concatenate([np.zeros(steps, np.int64), np.arange(len(lifts))])
-        waypoint_steps, first = np.array([0, steps, steps + len(lifts) - 1]), steps
+        value = np.concatenate([np.zeros(steps, np.int64), np.arange(len(places))])
+        waypoint_steps, first = np.append(0, steps + np.arange(0, len(places), SUBSTEPS)), steps
     else:
         # The hand lowers the object, releases it, and retracts along its approach.
         down = (Ts_world_object[None] @ Ts_object_tool[:, None])[:, ::-1]
         Ts = np.concatenate([down, approach[:, ::-1]], axis=1)
-        value = np.concatenate([np.arange(len(lifts))[::-1], np.zeros(steps, np.int64)])
-        waypoint_steps = np.array([0, len(lifts) - 1, len(lifts) - 1 + steps])
-        first = len(lifts) - 1
+        value = np.concatenate([np.arange(len(places))[::-1], np.zeros(steps, np.int64)])
+        first = len(places) - 1
+        waypoint_steps = np.append(np.arange(0, len(places), SUBSTEPS), first + steps)
     return TaskMotion(
         task=task,
         Ts_world_tool=np.ascontiguousarray(Ts),
@@ -409,7 +389,37 @@ def _rigid_motion(
         refusal=chosen.reason or _too_heavy(robot, target, weight.mass),
         turning=no_turning(len(Ts)),
         weight=weight,
+        retreat=retreat,
     )
+
+
+def rigid_retreats(
+    scene: Scene, robot: Robot, task: Task, config: MotionConfig
+) -> Iterator[Retreat]:
+    """Yield how a rigid object can leave where it stands, in the order of trying; at least one.
+
+    Raises:
+        TaskError: The object has no shape.
+    """
+    target = scene.object(task.object)
+    _, approaches = _object_grasps(robot, task, target, _upright_frame(target), config)
+    return retreats(scene, task.object, config, approaches)
+
+
+def _object_grasps(
+    robot: Robot,
+    task: Task,
+    target: SceneObject,
+    T_object: Float[np.ndarray, "4 4"],
+    config: MotionConfig,
+) -> tuple[GraspSelection, Float[np.ndarray, "g 3"]]:
+    """Return the grasps of an object, and the direction of each hand in the world."""
+    chosen = select_object_grasps(
+        robot, target, T_object, config.grasps, carried=task.verb == "place",
+        own=own_poses(robot, target.name, None),
+    )  # fmt: skip
+    directions = (T_object @ chosen.Ts_part_tool)[:, :3, :3] @ robot.approach_axis
+    return chosen, directions
 
 
 def _too_heavy(robot: Robot, target: SceneObject, mass: float) -> str:
