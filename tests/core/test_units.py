@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from momapos.core.units import length_text
+from momapos.core.units import contact_text, length_text
 
 
 @pytest.mark.parametrize(
@@ -13,3 +13,15 @@ from momapos.core.units import length_text
 )
 def test_a_length_below_a_centimeter_is_in_millimeters(value: float, text: str) -> None:
     assert length_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("depth", "words"),
+    [
+        (0.004, "a 4 mm in b"),
+        (0.0004, "a 0.4 mm in b"),
+        (-0.012, "a 12 mm from b"),
+    ],
+)
+def test_a_contact_names_both_shapes_and_its_depth(depth: float, words: str) -> None:
+    assert contact_text("a", "b", depth) == words

@@ -88,7 +88,7 @@ def test_an_object_as_wide_as_the_opening_fits_between_the_shapes_of_the_fingers
     (test,) = [one for one in self_test([robot]) if one.name == "gripper"]
     assert test.passed is ok
     if not ok:
-        words = r"a box of 0\.110 m, .* overlaps (left|right)_finger by 10 mm"
+        words = r"a box of 0\.110 m, .* 10 mm in (left|right)_finger"
         assert re.match(words, test.words)
 
 

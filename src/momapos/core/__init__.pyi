@@ -82,6 +82,7 @@ from .units import GRAVITY as GRAVITY
 from .units import LENGTHS as LENGTHS
 from .units import MAX as MAX
 from .units import Quantity as Quantity
+from .units import contact_text as contact_text
 from .units import length_text as length_text
 from .units import parse_quantity as parse_quantity
 from .versions import version_of as version_of

@@ -69,3 +69,15 @@ def parse_quantity(text: str) -> Quantity:
 def length_text(value: float) -> str:
     """Return a length in words: 0.30 m, or 4 mm where it is below 1 cm."""
     return f"{1000 * value:.3g} mm" if 0.0 < abs(value) < 0.01 else f"{value:.2f} m"
+
+
+def contact_text(one: str, other: str, depth: float) -> str:
+    """Return a contact in words: forearm_link 4 mm in shelf/door, or 4 mm from it.
+
+    Args:
+        one, other: The shapes.
+        depth: How deep they overlap, negative for a distance [m].
+    """
+    size = 1000 * abs(depth)
+    digits = f"{size:.0f}" if size >= 1.0 else f"{size:.1g}"
+    return f"{one} {digits} mm {'in' if depth >= 0.0 else 'from'} {other}"

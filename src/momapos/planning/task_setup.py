@@ -134,6 +134,8 @@ class PreparedTask:
         return Feasibility(
             self.robot, self.world, self.motion, config.arm_planner, violation, seed,
             config.motion.home_again, homes,
+            describe=lambda *state: self.verifier.contact(*state),
+            refusal_detail=lambda why: self.verifier.contacts.get(why, ""),
         )  # fmt: skip
 
 

@@ -30,7 +30,7 @@ from .config import (
     FurnitureConfig,
     Stage,
 )
-from .execute import believed_joint, cuts_of, is_of_one_object, judge, section_of
+from .execute import believed_joint, cuts_of, hit_text, is_of_one_object, judge, section_of
 from .execution_run import ExecutionRun, Watch
 from .robot_dynamics import find_hand, read_dynamics
 from .run_record import Collision, Execution, RunRecord, Visit
@@ -295,8 +295,8 @@ def run_exactly(
         reasons += [] if after is None else [f"path home: {after} {run.detail}".strip()]
         reasons += following.off_plan()
     hits = [hit for hit in run.observer.hardest() if _counts(hit, run.config)]
-    if hits and not any(" hit " in reason for reason in reasons):
-        reasons.append(f"{hits[0].one} hit {hits[0].other} with {hits[0].force:.0f} N")
+    if hits and not any("hit: " in reason for reason in reasons):
+        reasons.append(hit_text(hits[0]))
     execution = Execution(
         success=not reasons, reason="; ".join(reasons), hold=run.config.hold,
         start=outcome.start, asked=outcome.asked, reached=outcome.reached,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import Clock, InputError
+from momapos.core import Clock, InputError, contact_text
 from momapos.core.geometry import rotation_angle, wrap_angle
 from momapos.model import time_motion
 from momapos.model.records import Family, Hold, Motion, Task
@@ -103,8 +103,13 @@ def judge(
     hard = [c for c in touched if c.force > config.touch_force]
     hit = (hard or observer.hardest())[:1]
     if hit and (reasons or hard):
-        reasons.append(f"{hit[0].one} hit {hit[0].other} with {hit[0].force:.0f} N")
+        reasons.append(hit_text(hit[0]))
     return TaskOutcome(not reasons, "; ".join(reasons), start, asked, reached)
+
+
+def hit_text(hit: Collision) -> str:
+    """Return a contact of a run in words."""
+    return f"hit: {contact_text(hit.one, hit.other, hit.depth)} with {hit.force:.0f} N"
 
 
 def _judge_object(

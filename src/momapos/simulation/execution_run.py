@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from momapos.core import GRAVITY, SceneError
+from momapos.core import GRAVITY, SceneError, contact_text
 from momapos.core.geometry import contains, edge_distances, invert, local_points, rotation_angle
 from momapos.model import Trajectory
 from momapos.model.records import Family, Hold, Motion, Task
@@ -470,9 +470,7 @@ class ExecutionRun:
         for geoms, dist in zip(np.array(contact.geom), np.array(contact.dist), strict=True):
             if dist < -MAX_START_OVERLAP and np.isin(world.kinds[geoms], ROBOT).any():
                 one, other = sorted(world.names[g] for g in geoms)
-                raise SceneError(
-                    f"start in collision: {one} overlaps {other} by {-1000 * dist:.0f} mm"
-                )
+                raise SceneError(f"start in collision: {contact_text(one, other, -dist)}")
 
     def tick(self, stage: Stage) -> Ending | None:
         """Advance by one control step; return the ending it causes, or None."""

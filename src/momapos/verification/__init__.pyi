@@ -16,5 +16,6 @@ from .report import Limits as Limits
 from .report import report_lines as report_lines
 from .report import report_to_dict as report_to_dict
 from .robot_collision_model import LinkContact as LinkContact
+from .robot_collision_model import crossing_links as crossing_links
 from .robot_collision_model import link_contacts as link_contacts
 from .robot_collision_model import self_contacts as self_contacts

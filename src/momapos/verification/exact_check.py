@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import contact_text
 from momapos.core.geometry import apply, contains, edge_distances, invert, place_points, pose_planar
 from momapos.model.records import Motion, MotionLoads, Outline, PlacementPlan, Task
 from momapos.model.scene import MAX_STEP_HEIGHT, ResistanceConfig, Scene, area_name
@@ -129,6 +130,11 @@ MAX_BEYOND_AREA = 0.01
 footprint that the planner keeps in."""
 
 
+MAX_NAMED_GAP = 0.03
+"""Distance up to which shapes are named that are not in contact: more than the clearance, and the
+distance between spheres or boxes of planning and the shapes in them [m]."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Placed:
     """World poses of tool and shapes at every state of a motion."""
@@ -180,6 +186,8 @@ class PlanVerifier:
         loose = own.loose[own.of_part[on_part[:, 1]]]
         self._arm_part = on_part[~on_gripper | loose]
         self._measured: tuple[tuple[float, float, float], Motion, MeasuredLoads] | None = None
+        self.contacts: dict[str, str] = {}
+        """Details of the first motion that was rejected for each reason of `first_violation`."""
 
     def first_violation(self, base_pose: tuple[float, float, float], motion: Motion) -> str | None:
         """Return why a motion is rejected, in the same words for similar motions, or None."""
@@ -187,7 +195,42 @@ class PlanVerifier:
         first = next((check for check in checks if not check.ok), None)
         if first is None:
             return None
-        return f"{first.name}: {first.culprit}" if first.culprit else first.name
+        reason = f"{first.name}: {first.culprit}" if first.culprit else first.name
+        self.contacts.setdefault(reason, f"{first.name}: {first.detail or first.culprit}")
+        return reason
+
+    def contact(
+        self,
+        base_pose: Sequence[float] | Float[np.ndarray, "3"],
+        q: Float[np.ndarray, " n"],
+        object_q: float,
+        obstacle: str,
+    ) -> str:
+        """Return how deep a robot is in an obstacle, in words; "" if it is far from it.
+
+        Args:
+            base_pose: x [m], y [m], yaw [rad] of the base link on the floor.
+            q: Values of the arm's joints [rad] or [m].
+            object_q: Value of the task's joint [rad] or [m].
+            obstacle: OBJECT/LINK; the deepest contact of the robot if nothing in the scene has
+                this name.
+        """
+        model, fixed, part = self.robot_model, self.fixed, self.part.shapes
+        _, Ts_base, Ts_arm = model.poses(model.body_poses(base_pose, q[None]))
+        found = model.self_overlaps(Ts_base, Ts_arm, lambda _: "", -MAX_NAMED_GAP)
+        Ts_fixed = fixed.Ts_body_shape[None]
+        found.add(self._arm, Ts_arm, fixed, Ts_fixed, self._arm_fixed, lambda _: "")
+        found.add(self._base, Ts_base, fixed, Ts_fixed, self._base_fixed, lambda _: "")
+        if self.part.joint is not None:
+            Ts_part = self.part.placed(np.array([object_q]))
+            found.add(self._arm, Ts_arm, part, Ts_part, self._arm_part, lambda _: "")
+        below = depths_below_floor(self._arm, Ts_arm)[0]
+        lowest = self._arm.names[int(below.argmax())]
+        deep = float(below.max())
+        found.worst[lowest, "the floor"] = deep, contact_text(lowest, "the floor", deep)
+        among = {pair: one for pair, one in found.worst.items() if obstacle in pair} or found.worst
+        depth, words = max(among.values())
+        return words.removesuffix(" at ") if depth > -MAX_NAMED_GAP else ""
 
     def blocked(self, lift: float, slide: Sequence[float] = (0.0, 0.0, 0.0)) -> str | None:
         """Return what the part hits on its path, wherever the robot stands; None if it is free.

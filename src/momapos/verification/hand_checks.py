@@ -22,8 +22,15 @@ from momapos.core.geometry import apply, invert
 from momapos.model.records import Family, Motion
 from momapos.model.urdf import Articulated
 
-from .exact_shapes import Shapes, element_pieces, hulls_of, join, prepared
-from .link_bodies import LinkBodies, body_poses
+from .exact_shapes import (
+    Shapes,
+    element_pieces,
+    hulls_of,
+    join,
+    prepared,
+    triangle_shapes,
+)
+from .link_bodies import LinkBodies, bodies_of, body_poses
 from .moved_part import MovedPart
 from .path_checks import DensePath
 from .report import Check, Limits, at_most, verdict
@@ -518,6 +525,8 @@ def depth_between(
     T_tool_object: Float[np.ndarray, "4 4"],
     tool: str,
     size: tuple[float, float, float],
+    *,
+    surfaces: bool = False,
 ) -> tuple[float, str]:
     """Return how deep a box overlaps a hand, and the link that it overlaps.
 
@@ -528,17 +537,30 @@ def depth_between(
         T_tool_object: Pose of the box in the tool frame.
         tool: The tool link.
         size: Edges of the box [m].
+        surfaces: Whether the triangles of the links count instead of their convex bodies.
 
     Returns:
-        The depth [m], negative for a distance, and the link.
+        The depth [m], negative for a distance, and the link; no depth and no link without shapes.
     """
-    bodies, shapes = prepared(model)
+    bodies, shapes = (bodies_of(model), _surfaces(model, links)) if surfaces else prepared(model)
     Ts = body_poses(bodies, values, np.eye(4))
     T = Ts[0, bodies.of_link[tool]] @ bodies.T_body_link[tool] @ T_tool_object
     corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size
     box = hulls_of(apply(T, corners), np.array([0, 8]), 0, "")
     hand = shapes.take(np.array([k for k, n in enumerate(shapes.names) if n in links], np.int64))
+    if not len(hand):
+        return -np.inf, ""
     pairs = all_pairs(len(hand), 1)
     depth, _ = deepest(hand, hand.placed(Ts), box, box.Ts_body_shape[None], pairs, -max(size))
     k = int(depth.argmax())
     return float(depth[k]), hand.names[k]
+
+
+def _surfaces(model: Articulated, links: Collection[str]) -> Shapes:
+    """Return the triangles of some links as shapes of their bodies."""
+    bodies, parts = bodies_of(model), []
+    for name in (name for name in links if len(model.surface(name))):
+        points = apply(bodies.T_body_link[name], model.surface(name).reshape(-1, 3))
+        parts.append(triangle_shapes(points.reshape(-1, 3, 3), bodies.of_link[name], name))
+    body = np.concatenate([np.zeros(0, np.int64), *(part.body for part in parts)])
+    return replace(join(parts, [""] * len(parts)), body=body)

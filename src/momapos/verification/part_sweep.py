@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import owner_cache
+from momapos.core import contact_text, owner_cache
 from momapos.core.geometry import apply, invert
 from momapos.model.records import Task
 from momapos.model.scene import Scene, SceneObject
@@ -209,13 +209,14 @@ class PartSweepCheck:
         hits = np.flatnonzero(self.excess(goal) > 0.0)
         if not len(hits):
             return first
-        values = self.path(goal)
+        values, deep = self.path(goal), self.excess(goal) + self.limits.penetration
         Ts = self.placed(values, self.part.turned(len(values)))
         for pair in hits.tolist():
             earlier = self._first_state(pair, Ts[: first[0]])
             if earlier is not None:
                 i, j = self.pairs[pair]
-                first = earlier, f"{self.moving.names[i]} hits {self.fixed.names[j]}"
+                names = self.moving.names[i], self.fixed.names[j]
+                first = earlier, f"{contact_text(*names, float(deep[pair]))} at worst, first"
         return first
 
     @cached_property

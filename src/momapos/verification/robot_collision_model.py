@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -269,6 +270,53 @@ def link_contacts(robot: RobotDescription, values: Mapping[str, float]) -> tuple
         words = f"{name} is {1000 * depth:.0f} mm below the floor"
         found.append(LinkContact((without_piece(name),), depth, words))
     return tuple(sorted(found, key=lambda contact: -contact.depth))
+
+
+def crossing_links(
+    robot: RobotDescription, surfaces: Articulated, q: Float[np.ndarray, "s n"]
+) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of links whose surfaces cross in the first of some states, but not in all.
+
+    Surfaces that always cross are drawn so, such as those of a cover. Pairs are those of the check.
+
+    Args:
+        robot: The robot.
+        surfaces: The same robot with other shapes, of which every triangle counts.
+        q: Values of its moved joints [rad] or [m].
+    """
+    built = robot_collision_model(robot)
+    bodies, moved = built.bodies, set().union(*map(built.bodies.moved_by, built.joints))
+    triangles = _triangles(surfaces)
+    names = [name for name in triangles if name in bodies.of_link]
+    of = {name: bodies.of_link[name] for name in names}
+    T_links = np.array([bodies.T_body_link[name] for name in names]).reshape(-1, 4, 4)
+    Ts = built.body_poses((0.0, 0.0, 0.0), q)[:, list(of.values())] @ T_links
+
+    def at(state: int, k: int) -> Float[np.ndarray, "t 3 3"]:
+        points = triangles[names[k]].reshape(-1, 3)
+        return np.asarray(apply(Ts[state, k], points).reshape(-1, 3, 3))
+
+    first = [at(0, k) for k in range(len(names))]
+    bounds = np.array([(t.min((0, 1)), t.max((0, 1))) for t in first]).reshape(-1, 2, 3)
+    found = []
+    for i, j in combinations(range(len(names)), 2):
+        one, other = of[names[i]], of[names[j]]
+        joined = one == other or other == bodies.parent[one] or one == bodies.parent[other]
+        if joined or not {one, other} & moved or frozenset((names[i], names[j])) in robot.disabled:
+            continue
+        apart = (bounds[i, 0] > bounds[j, 1]) | (bounds[j, 0] > bounds[i, 1])
+        if not apart.any() and surfaces_cross(first[i], first[j]):
+            every = (surfaces_cross(at(s, i), at(s, j)) for s in range(1, len(q)))
+            if len(q) == 1 or not all(every):
+                found.append((names[i], names[j]))
+    return tuple(found)
+
+
+@owner_cache()
+def _triangles(model: Articulated) -> dict[str, Float[np.ndarray, "t 3 3"]]:
+    """Return the triangles of each link that has any, in its frame."""
+    every = {name: model.surface(name) for name in model.links}
+    return {name: triangles for name, triangles in every.items() if len(triangles)}
 
 
 def _link_pose(bodies: LinkBodies, link: str) -> Float[np.ndarray, "4 4"]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from momapos.core import contact_text
 from momapos.core.compiled import F1, F3, F4, I2, entry, kernel
 
 from .convex import TOLERANCE, Body, overlap
@@ -243,25 +244,32 @@ def _farthest_move(T, U, radius):
     return np.sqrt(shift) + radius * np.sqrt(0.5 * turn)  # |U - T| = sqrt(8) sin(angle / 2)
 
 
-MAX_TRIANGLE_PAIRS = 1_000_000
+MAX_TRIANGLE_PAIRS = 100_000
 """Pairs of triangles that are compared together; they need about 0.1 kB each [-]."""
 
 
 def surfaces_cross(one: Float[np.ndarray, "t 3 3"], other: Float[np.ndarray, "u 3 3"]) -> bool:
-    """Return whether triangles of two surfaces meet."""
-    for _ in range(2):  # leave out what is outside the box around the other
-        low, high = (f(f(other, 0), 0) for f in (np.min, np.max))
-        near = one[((one.min(1) <= high) & (one.max(1) >= low)).all(1)]
-        one, other = other, near
-        if not len(near):
-            return False
-    rows = max(1, MAX_TRIANGLE_PAIRS // len(other))
-    b = triangle_shapes(other, 0, "")
-    for first in range(0, len(one), rows):
-        a = triangle_shapes(one[first : first + rows], 0, "")
-        Ts_a, Ts_b = a.Ts_body_shape[None], b.Ts_body_shape[None]
-        if (deepest(a, Ts_a, b, Ts_b, all_pairs(len(a), len(b)), 0.0)[1] >= 0).any():
-            return True
+    """Return whether triangles of two surfaces meet.
+
+    The larger surface is halved until few triangles are left in the boxes around both.
+    """
+    parts = [(one, other)]
+    while parts:
+        one, other = parts.pop()
+        for _ in range(2):  # leave out what is outside the box around the other
+            low, high = other.min((0, 1), initial=np.inf), other.max((0, 1), initial=-np.inf)
+            near = one[((one.min(1) <= high) & (one.max(1) >= low)).all(1)]
+            one, other = other, near
+        if len(one) * len(other) > MAX_TRIANGLE_PAIRS:
+            large, small = (one, other) if len(one) >= len(other) else (other, one)
+            middle = large.mean(1)
+            order = middle[:, np.ptp(middle, axis=0).argmax()].argsort()
+            parts += [(large[half], small) for half in np.array_split(order, 2)]
+        elif len(one) and len(other):
+            a, b = triangle_shapes(one, 0, ""), triangle_shapes(other, 0, "")
+            Ts_a, Ts_b = a.Ts_body_shape[None], b.Ts_body_shape[None]
+            if (deepest(a, Ts_a, b, Ts_b, all_pairs(len(a), len(b)), 0.0)[1] >= 0).any():
+                return True
     return False
 
 
@@ -310,8 +318,8 @@ class Overlaps:
             one, other = names[::-1] if swapped else names
             pair, deep = (without_piece(one), without_piece(other)), float(depth[p])
             if deep > self.worst.get(pair, (-np.inf, ""))[0]:
-                words = f"{one} and {other} overlap by {1000 * deep:.0f} mm at "
-                self.worst[pair] = deep, words + where(int(state[p]))
+                words = f"{contact_text(one, other, deep)} at {where(int(state[p]))}"
+                self.worst[pair] = deep, words
 
     def check(self, name: str) -> Check:
         ranked = sorted(self.worst.items(), key=lambda item: -item[1][0])

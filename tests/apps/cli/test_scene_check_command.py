@@ -52,7 +52,7 @@ def test_a_scene_that_planning_refuses_has_status_2(
 ) -> None:
     path = write(tmp_path, CRATE, start=start)
     assert main(["scene", "check", path, *shown]) == 2
-    assert "would touch crate" in capsys.readouterr().out
+    assert "mm in crate" in capsys.readouterr().out
 
 
 def test_what_cannot_be_loaded_is_one_line(tmp_path: Path) -> None:

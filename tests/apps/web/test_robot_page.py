@@ -74,7 +74,7 @@ def test_links_that_touch_are_red_and_named_until_they_are_apart(page: RobotPage
     move(page, shoulder_lift_joint=90.0)  # the arm points down, into its base
     assert page.card.shown.headline.endswith("contacts")
     first = page.card.shown.notes[0]
-    assert "overlap by" in first
+    assert " mm in " in first
     assert first.endswith(" mm")
     assert {link for link in red_links(page) if link in first}
     page.shapes.value = True

@@ -228,7 +228,7 @@ def test_checking_a_robot_file_reports_likely_mistakes(
     assert robot_check(path) == 0
     out = capsys.readouterr().out
     assert "protrudes" in out
-    assert out.startswith("FAILED: home: torso and arm_2 overlap by 109 mm at home")
+    assert out.startswith("FAILED: home: torso 109 mm in arm_2 at home")
     with pytest.raises(RobotError, match="--out"):
         robot_check(path, out=path.with_name("b.toml"))
 

@@ -62,7 +62,7 @@ def test_a_start_where_only_the_arm_at_home_collides_is_refused(wide: Robot, roo
     start = np.array([0.0, -1.0, np.pi / 2])
     assert touching(wide, room, start).startswith("cabinet/")
     task = make_task(room, "open", "cabinet")
-    with pytest.raises(SceneError, match="with its arm at home would touch cabinet/"):
+    with pytest.raises(SceneError, match=r"with its arm at home [1-9][0-9]* mm in cabinet/"):
         plan_base_placement(room, wide, task, Everywhere(), start=start, config=CONFIG)
 
 

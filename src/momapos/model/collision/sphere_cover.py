@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from momapos.core import look
+from momapos.core import look, owner_cache
 from momapos.core.geometry import apply
 from momapos.model.urdf import Boxes, Geometry, Hull, cover, hull_of
 
@@ -62,6 +62,14 @@ def cover_shapes(
     Returns:
         Centers in the link frame and radii [m].
     """
+    return _cover_link(tuple(shapes), stick_out)
+
+
+@owner_cache(owner=lambda shapes: shapes[0])
+def _cover_link(
+    shapes: tuple[Geometry, ...], stick_out: float
+) -> tuple[Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
+    """Cover the shapes of one link, cached: each arm of a robot is covered, and each posture."""
     base = _join([_cover_shape(shape, stick_out) for shape in shapes])
     keep = _needed(base)
     return base.center[keep], base.radius[keep]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from enum import Enum
 
 
@@ -90,9 +90,19 @@ class PoseOutcome:
     """The obstacle, or the reason of the exact check or the task."""
     where: str = ""
     """The waypoint concerned."""
+    contact: Callable[[], str] | None = field(default=None, compare=False, repr=False)
+    """Returns which shapes are how deep in each other; None if that is not known."""
 
     def __str__(self) -> str:
         return self.status.value.format(detail=self.detail, where=self.where)
+
+    @property
+    def in_full(self) -> str:
+        """Return the text, with the shapes in contact and how deep they are."""
+        contact = "" if self.contact is None else self.contact()
+        if contact and self.status is PoseStatus.EXACT_CHECK:
+            return self.status.value.format(detail=contact)
+        return f"{self}: {contact}" if contact else str(self)
 
     @property
     def progress(self) -> tuple[int, int]:

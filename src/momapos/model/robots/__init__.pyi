@@ -24,6 +24,7 @@ from .parts import read_part as read_part
 from .robot import MAX_REACH as MAX_REACH
 from .robot import Grip as Grip
 from .robot import Robot as Robot
+from .robot import drawn_model as drawn_model
 from .robot import load_arms as load_arms
 from .robot import load_robot as load_robot
 from .robot_file import RobotFile as RobotFile
@@ -38,6 +39,7 @@ from .robot_tests import RobotTest as RobotTest
 from .robot_tests import blocking as blocking
 from .robot_tests import examine as examine
 from .robot_tests import examine_at_rest as examine_at_rest
+from .robot_tests import examine_drawn as examine_drawn
 from .running_gear import support_outline as support_outline
 from .srdf import MAX_SRDF_BYTES as MAX_SRDF_BYTES
 from .srdf import claimed_apart as claimed_apart

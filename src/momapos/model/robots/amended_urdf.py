@@ -86,12 +86,15 @@ class Amendments:
     """Whether bodies without collision shapes get the hulls of what is drawn."""
     content: str | None = None
     """Content of the URDF, if it is not in a file yet."""
+    drawn: bool = False
+    """Whether links have the shapes that are drawn instead of those for collisions, as far as their
+    meshes exist."""
 
     @property
     def none(self) -> bool:
         """Whether the URDF is used unchanged."""
         tables = self.frames, self.mount, self.packages, self.coupled, self.limits
-        return not (any(tables) or self.visual_hulls or self.content)
+        return not (any(tables) or self.visual_hulls or self.content or self.drawn)
 
     def text(self, urdf: Path) -> str | None:
         """Return the URDF with all additions and absolute mesh paths; None if it is unchanged.
@@ -154,6 +157,8 @@ class Amendments:
                 del origin.attrib["quat_xyzw"]
         if self.visual_hulls:
             _draw_collisions(tree)
+        if self.drawn:
+            _keep_drawn(tree, finder)
         for link in tree.iter("link"):
             for visual in link.findall("visual"):  # not used, and their meshes are often missing
                 link.remove(visual)
@@ -175,6 +180,20 @@ def _draw_collisions(tree: Element) -> None:
         if body[link.get("name", "")] not in solid:
             for visual in link.findall("visual"):
                 visual.tag = "collision"
+
+
+def _keep_drawn(tree: Element, finder: MeshFinder) -> None:
+    """Replace the collision shapes of links by what is drawn, without meshes that are missing."""
+    for link in tree.findall("link"):
+        for shape in link.findall("collision"):
+            link.remove(shape)
+        for visual in link.findall("visual"):
+            try:
+                for mesh in visual.iter("mesh"):
+                    finder.find(mesh.get("filename", ""))
+                visual.tag = "collision"
+            except UrdfError:
+                continue
 
 
 def _couple(tree: Element, follows: Mapping[str, Mimic], urdf: Path) -> None:

@@ -181,17 +181,21 @@ def resting_states(
         rng: For the states near the best ones.
     """
     ranking = _Ranking(chain, spheres, body, torso, crossing)
+    fewest = max(PARENTS, _MAX_CLEARANCE_CHECKS)
     first_step = FIRST_STEP * np.subtract(*reversed(one_turn(chain)))
     first_step[list(held)] = 0.0
     middles: list[np.ndarray] = []
-    q, cost = ranking.rank(q, middles)
+    q = ranking.free(q, middles)
+    cost, whole = ranking.cost(q), np.zeros(len(q), bool)
     for _ in range(count):
         step = first_step
+        q, cost, whole = ranking.ranked(q, cost, whole, fewest)
         for _ in range(ROUNDS):
-            near, its_cost = ranking.rank(_children(chain, q[:PARENTS], step, rng), middles)
-            q, cost = np.vstack([q, near]), np.append(cost, its_cost)
-            order = np.argsort(cost, kind="stable")
-            q, cost, step = q[order], cost[order], step / 2
+            near = ranking.free(_children(chain, q[:PARENTS], step, rng), middles)
+            q, cost = np.vstack([q, near]), np.append(cost, ranking.cost(near))
+            whole = np.append(whole, np.zeros(len(near), bool))
+            q, cost, whole = ranking.ranked(q, cost, whole, fewest)
+            step = step / 2
         if not len(q):
             return
         best, best_cost = q[:_MAX_CLEARANCE_CHECKS], cost[:_MAX_CLEARANCE_CHECKS]
@@ -200,7 +204,7 @@ def resting_states(
         yield state
         middles.append(middle)
         far = ranking.apart(q, middles[-1:])
-        q, cost = q[far], cost[far]
+        q, cost, whole = q[far], cost[far], whole[far]
 
 
 def resting_state(
@@ -221,12 +225,43 @@ class _Ranking:
     torso: Sequence[int]
     crossing: Spheres | None
 
-    def rank(
+    def free(
         self, q: Float[np.ndarray, "m n"], middles: Sequence[Float[np.ndarray, "3"]]
-    ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
-        """Return the states free of contact and apart from others, and their cost [m], sorted."""
+    ) -> Float[np.ndarray, "k n"]:
+        """Return the states free of contact and apart from others."""
         q = q[~touches(self.chain, self.spheres, q, floor=True)]
-        q = q[self.apart(q, middles)]
+        return q[self.apart(q, middles)]
+
+    def ranked(
+        self,
+        q: Float[np.ndarray, "m n"],
+        cost: Float[np.ndarray, " m"],
+        whole: Bool[np.ndarray, " m"],
+        fewest: int,
+    ) -> tuple[Float[np.ndarray, "m n"], Float[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+        """Sort states by cost, and complete the costs of the first ones.
+
+        The heights of a torso take most of the time, and contact there only adds to the cost. So it
+        is computed in the order of the rest of the cost, until the first states are known.
+
+        Args:
+            q, cost: The states and their costs [m].
+            whole: Whether a cost is complete.
+            fewest: Number of first states whose costs must be complete [-].
+        """
+        while True:
+            order = np.argsort(cost, kind="stable")
+            q, cost, whole = q[order], cost[order], whole[order]
+            rows = np.flatnonzero(~whole[:fewest])
+            if not len(rows):
+                return q, cost, whole
+            cost[rows] += BLOCKED_COST * blocked_share(
+                self.chain, self.spheres, q[rows], self.torso
+            )
+            whole[rows] = True
+
+    def cost(self, q: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
+        """Return the cost of states [m], without that of contact at other heights of the torso."""
         protrusion, top, reach, *_ = self._extents(q).T
         wound = np.where(self.chain.prismatic, 0.0, abs(q)).max(1, initial=0.0)
         above = np.maximum(top - self.body.height, self._rise(q))
@@ -234,13 +269,10 @@ class _Ranking:
         cost += ANGLE_COST * wound + LIMIT_COST * _at_limits(self.chain, q)
         turning = [k for k in self.torso if not self.chain.prismatic[k]]
         cost += UPRIGHT_COST * abs(q[:, turning]).max(1, initial=0.0)
-        cost += OVERLOAD_COST * self._overloaded(q) + BLOCKED_COST * blocked_share(
-            self.chain, self.spheres, q, self.torso
-        )
+        cost += OVERLOAD_COST * self._overloaded(q)
         if self.crossing is not None:
             cost += NEAR_COST * contacts(self.chain, self.crossing, q).by_spheres.sum(1)
-        order = np.argsort(cost, kind="stable")
-        return q[order], cost[order]
+        return np.asarray(cost)
 
     def apart(
         self, q: Float[np.ndarray, "m n"], middles: Sequence[Float[np.ndarray, "3"]]

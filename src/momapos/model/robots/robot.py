@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +28,7 @@ from momapos.core.geometry import apply, convex_hull, invert
 from momapos.model.collision import LinkHulls, Spheres, arm_spheres
 from momapos.model.kinematics import Chain, IkModel, Segments, build_chain, build_ik, fine_ik
 from momapos.model.records import GraspSource, InverseKinematics
-from momapos.model.urdf import Articulated, Boxes
+from momapos.model.urdf import Articulated, Boxes, read_urdf
 
 from .gripper_guess import FINGER, HAND
 from .robot_file import (
@@ -330,6 +330,27 @@ def load_arms(
     path = find_robot(source)
     names = choose_arms(read_robot_file(path), arm)
     return tuple(read_robot(path, arm=name or None, cache=cache) for name in names)
+
+
+def drawn_model(robot: Robot, *, cache: Cache | None = USER_CACHE) -> Articulated:
+    """Return a robot with the shapes that its URDF draws instead of those for collisions.
+
+    Nothing else is made of them, so they are an independent witness.
+
+    Args:
+        robot: The robot.
+        cache: Stores parsed files; None to always read them.
+
+    Raises:
+        UrdfError: A file has changed and is invalid.
+    """
+    read = read_robot_file(robot.path)
+    amendments = replace(amendments_of(read), drawn=True)
+    text = amendments.text(read.path_of(read.file.urdf))
+    record = read_urdf(
+        read.path_of(read.file.urdf), cache=cache, text=text, find_mesh=Path, actuated=True
+    )
+    return Articulated(record, robot.model.held, cache)
 
 
 def read_robot(path: Path, *, arm: str | None = None, cache: Cache | None = None) -> Robot:

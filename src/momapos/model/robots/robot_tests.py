@@ -10,6 +10,7 @@ import numpy as np
 
 from momapos.model.collision import build_spheres, contacts
 from momapos.model.records import MIN_STABILITY
+from momapos.model.urdf import Articulated
 
 from .base_guess import (
     AXLE_TOLERANCE,
@@ -90,7 +91,7 @@ def _home(robot: Robot) -> RobotTest:
     found = contacts(robot.chain, robot.spheres, q)
     pairs = [p for p, hit in zip(found.pairs, found.by_hulls[0], strict=True) if hit]
     file = robot.path.name
-    low = float(_arm_points(robot)[:, 2].min(initial=np.inf))
+    low = float(_arm_points(robot, robot.model)[:, 2].min(initial=np.inf))
     if pairs:
         more = f" and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         words = f"{pairs[0][0]} touches {pairs[0][1]}{more}"
@@ -116,11 +117,11 @@ def _home(robot: Robot) -> RobotTest:
     return RobotTest("home", robot.arm, True, "free of contact")
 
 
-def _arm_points(robot: Robot) -> Float[np.ndarray, "n 3"]:
+def _arm_points(robot: Robot, model: Articulated) -> Float[np.ndarray, "n 3"]:
     """Return the hull vertices of what the arm moves, at home, in the base frame [m]."""
-    moved = {link for joint in robot.arm_joints for link in robot.model.moved_by(joint)}
+    moved = {link for joint in robot.arm_joints for link in model.moved_by(joint)}
     values = dict(zip(robot.arm_joints, map(float, robot.home), strict=True))
-    model = robot.model.changed(held={**robot.model.held, **values})
+    model = model.changed(held={**model.held, **values})
     return points_of(model, robot.base_link, sorted(moved))
 
 
@@ -196,6 +197,42 @@ def _upright(robot: Robot) -> RobotTest:
     return RobotTest("upright", robot.arm, stability >= MIN_STABILITY, words)
 
 
+def examine_drawn(robot: Robot, drawn: Articulated) -> Iterator[RobotTest]:
+    """Test height and drive with what is drawn, which the robot file is not derived from.
+
+    Args:
+        robot: The robot.
+        drawn: The robot as drawn, see `drawn_model`.
+
+    Yields:
+        The test of the drive, and those of others that fail.
+    """
+    file, arm = robot.path.name, _arm_points(robot, drawn)[:, 2].min(initial=np.inf)
+    if arm < -MAX_DRAWN_ERROR:
+        words = f"the arm as drawn is {1000 * -arm:.0f} mm below the floor"
+        yield RobotTest("home", robot.arm, False, words, f"change home in {file}")
+    body = base_links(drawn, robot.arm_joints[:1])
+    points = points_of(drawn, robot.base_link, body)
+    if len(points):
+        low = float(points[:, 2].min())
+        least, most = floor_range(drawn, robot.base_link, body)
+        if not least - MAX_DRAWN_ERROR <= low <= most + MAX_DRAWN_ERROR:
+            words = f"the base as drawn begins at z = {low:.3f} m of {robot.base_link}"
+            remedy = f"base_link in {file} must lie on the floor, with z up"
+            yield RobotTest("upright", robot.arm, False, words, remedy)
+    urdf = robot.model.urdf.path
+    assert urdf is not None
+    gear = find_running_gear(drawn, find_anchor(drawn, []), drawn_meshes(None, urdf))
+    guess = drive_of(gear)
+    if guess is None or guess.doubt:
+        return
+    words = f"{robot.drive}; the wheels as drawn are {guess.drive}: {guess.why}"
+    remedy = f"correct base.drive in {file}"
+    yield RobotTest("drive", "", guess.drive == robot.drive, words, remedy)
+
+
+MAX_DRAWN_ERROR = 0.01
+"""How far what is drawn may be from where collision shapes are at most [m]."""
 MAX_REPORTED_PAIRS, MIN_REPORTED_SHARE = 5, 0.02
 """Maximum number of reported link pairs, and minimum share of states that each blocks [-]."""
 MIN_RADIUS_SHARE = 0.95

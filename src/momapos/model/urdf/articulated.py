@@ -359,7 +359,15 @@ class Articulated:
         T = T_parent @ joint.T_parent_joint
         if not joint.movable:
             return T
+        if (joint.name if joint.mimic is None else joint.mimic.joint) not in values:
+            return np.asarray(T @ self._rest_motions[joint.name])
         return np.asarray(T @ joint_motion(joint, self.value_of(joint, values)))
+
+    @cached_property
+    def _rest_motions(self) -> dict[str, Float[np.ndarray, "4 4"]]:
+        """Return the motion of each movable joint at rest: most joints are, in most questions."""
+        joints = self.joints.items()
+        return {name: joint_motion(joint, self.value_of(joint, {})) for name, joint in joints}
 
     def moving_poses(
         self,

@@ -234,6 +234,8 @@ def _shortest_paths(
 
 BaseCodes: TypeAlias = "Callable[[Float[np.ndarray, 'd 3'], Int[np.ndarray, ' d']], np.ndarray]"
 """Returns what the base hits at poses, given the index of the part's value at each, as a code."""
+StateAtStep: TypeAlias = "tuple[Float[np.ndarray, '3'], Float[np.ndarray, ' n'], int]"
+"""A base pose, an arm configuration, and the step of the motion."""
 HandHits: TypeAlias = "dict[int, tuple[int, int]]"
 """The first step of a motion at which the hand hits something, and its code, by grasp; for grasps
 that do not turn."""
@@ -264,6 +266,8 @@ class ArmPath:
     """Whether it is the base that hits the obstacle, and not the arm."""
     overload: PoseOutcome | None = None
     """What a motor or the base would have to bear, if OVERLOADED."""
+    hit: StateAtStep | None = None
+    """A state that hits the obstacle, if HIT."""
 
 
 def find_paths(
@@ -296,7 +300,7 @@ def find_paths(
     paths = [
         ArmPath(BROKEN, 0, count, FREE)
         if passed == last
-        else _failure(layers, j, int(course.order[passed]), loads)
+        else _failure(layers, j, motion, int(course.order[passed]), loads)
         for j, passed in enumerate(layers.passed.tolist())
     ]
     left = np.flatnonzero(layers.passed == last)
@@ -336,7 +340,9 @@ def find_paths(
                     continue
                 waypoint = int(number[np.searchsorted(course.waypoints, bad)])
                 if bad == hit:
-                    paths[j] = ArmPath(HIT, waypoint, count, code, base_hits=base_hits)
+                    bases_of, states_of = filled.split
+                    state = bases_of[bad], states_of[bad], bad
+                    paths[j] = ArmPath(HIT, waypoint, count, code, base_hits=base_hits, hit=state)
                 else:
                     overload = loads.outcome(
                         int(where[i]), float(excess[i]), waypoint_name(waypoint)
@@ -352,7 +358,9 @@ def find_paths(
     return paths
 
 
-def _failure(layers: Layers, job: int, layer: int, loads: RobotLoads) -> ArmPath:
+def _failure(
+    layers: Layers, job: int, motion: TaskMotion, layer: int, loads: RobotLoads
+) -> ArmPath:
     """Return the failure of a job that has no configuration in a layer."""
     code, passed = int(layers.codes[job]), int(layers.passed[job])
     if code == CUT_OFF:
@@ -361,7 +369,12 @@ def _failure(layers: Layers, job: int, layer: int, loads: RobotLoads) -> ArmPath
         where, excess = int(layers.where[job]), float(layers.excess[job])
         overload = loads.outcome(where, excess, waypoint_name(layer))
         return ArmPath(OVERLOADED, layer, passed, FREE, overload=overload)
-    return ArmPath(UNREACHABLE if code == NOWHERE else HIT, layer, passed, code)
+    if code == NOWHERE:
+        return ArmPath(UNREACHABLE, layer, passed, code)
+    step = int(motion.waypoint_steps[int(np.argmax(np.array(motion.layer_of) == layer))])
+    n = loads.robot.chain.size
+    state = layers.hit[job, :3], layers.hit[job, 3 : 3 + n], step
+    return ArmPath(HIT, layer, passed, code, hit=state)
 
 
 def waypoint_name(waypoint: int) -> str:

@@ -28,7 +28,17 @@ from momapos.model.robots import Robot
 from momapos.planning.grasps import FULL_DOF, TaskMotion
 from momapos.verification import HOLD_CHECK
 
-from .arm_path import FOUND, HIT, UNREACHABLE, ArmPath, HandHits, find_paths, follow, waypoint_name
+from .arm_path import (
+    FOUND,
+    HIT,
+    UNREACHABLE,
+    ArmPath,
+    HandHits,
+    StateAtStep,
+    find_paths,
+    follow,
+    waypoint_name,
+)
 from .arm_planner import RESOLUTION, brief_config, fill_curve, plan_with_clearance
 from .config import PlannerConfig
 from .free_turn import find_short_paths, smooth_posture
@@ -40,6 +50,10 @@ if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
 
 
+DescribeContact: TypeAlias = (
+    "Callable[[Float[np.ndarray, '3'], Float[np.ndarray, ' n'], float, str], str]"
+)
+"""Says how deep a base and an arm are in an obstacle: see `PlanVerifier.contact`."""
 Refusal: TypeAlias = "Callable[[Float[np.ndarray, '3'], Motion], str | None]"
 """The exact check: return None if a motion is valid, else the reason why not."""
 FindPaths: TypeAlias = "Callable[[Float[np.ndarray, 'j 3'], Int[np.ndarray, ' j']], list[ArmPath]]"
@@ -69,6 +83,9 @@ class Feasibility:
     first, given also the grasp; None if it drives with its arm at home."""
     find: FindPaths | None = None
     """Searches arm paths for a base that moves; None for a base that stands."""
+    describe: DescribeContact | None = None
+    refusal_detail: Callable[[str], str] = lambda _: ""
+    """Returns the detail of a refusal by the exact check."""
     unheld: dict[int, str] = field(default_factory=dict)
     """Grasps in which the exact check found the hand off the part, and its words."""
 
@@ -134,10 +151,10 @@ class Feasibility:
             ArmPathResult(
                 grasp,
                 None if path is None else path.q,
-                self._outcome(path, int(code), why),
+                self._outcome(path, base, int(code), why),
                 None if path is None else path.bases,
             )
-            for (grasp, path), code, why in zip(best, home, unheld, strict=True)
+            for (grasp, path), base, code, why in zip(best, bases, home, unheld, strict=True)
         ]
 
     def follows(
@@ -179,7 +196,7 @@ class Feasibility:
         """Return the outcome of a motion that the exact check refused, and remember a bad grasp."""
         if why.startswith(HOLD_CHECK) and grasp < len(self.motion.Ts_world_tool):
             self.unheld[grasp] = why
-        return PoseOutcome(PoseStatus.EXACT_CHECK, why)
+        return PoseOutcome(PoseStatus.EXACT_CHECK, why, contact=partial(self.refusal_detail, why))
 
     def _held(self, grasps: Int[np.ndarray, " k"]) -> Int[np.ndarray, " h"]:
         """Return the grasp modes that are not known to miss the part."""
@@ -209,7 +226,7 @@ class Feasibility:
         grasps = self._held(grasps)
         paths = self._paths(np.tile(base, (len(grasps), 1)), grasps)
         return [
-            ArmPathResult(grasp, path.q, self._outcome(path, FREE), path.bases)
+            ArmPathResult(grasp, path.q, self._outcome(path, base), path.bases)
             for grasp, path in zip(grasps.tolist(), paths, strict=True)
             if path.q is not None
         ]
@@ -423,9 +440,17 @@ class Feasibility:
         path = plan_with_clearance(*ends, bounded, config=config, seed=seed)
         return None if path is None else path.states(then)
 
-    def _outcome(self, path: ArmPath | None, at_home: int, unheld: str = "") -> PoseOutcome:
+    def _outcome(
+        self,
+        path: ArmPath | None,
+        base: Float[np.ndarray, "3"],
+        at_home: int = FREE,
+        unheld: str = "",
+    ) -> PoseOutcome:
         if at_home != FREE:
-            return PoseOutcome(PoseStatus.HOME_COLLISION, self.world.reason(at_home))
+            obstacle = self.world.reason(at_home)
+            contact = self._contact((base, self.robot.home, 0), obstacle)
+            return PoseOutcome(PoseStatus.HOME_COLLISION, obstacle, contact=contact)
         if path is None and unheld:
             return PoseOutcome(PoseStatus.EXACT_CHECK, unheld)
         if path is None:
@@ -440,8 +465,17 @@ class Feasibility:
         if path.status == HIT:
             obstacle = self.world.reason(path.obstacle)
             hits = PoseStatus.BASE_COLLISION if path.base_hits else PoseStatus.ARM_COLLISION
-            return PoseOutcome(hits, obstacle, where)
+            return PoseOutcome(hits, obstacle, where, self._contact(path.hit, obstacle))
         return PoseOutcome(PoseStatus.NO_CONTINUOUS_PATH)
+
+    def _contact(self, hit: StateAtStep | None, obstacle: str) -> Callable[[], str] | None:
+        """Return a function that says how deep the robot is in the obstacle in a state."""
+        if hit is None or self.describe is None:
+            return None
+        base, q, step = hit
+        value = float(self.motion.object_q[step])
+        states = self.robot.chain.joint_values(q[None])[0]
+        return partial(self.describe, base, states, value, obstacle)
 
 
 def world_tools(

@@ -82,7 +82,8 @@ def find_short_paths(
         rigid = replace(motion.only(chosen), turning=no_turning(1))
         found = find_paths(arm, world, rigid, near[met], np.zeros(met.sum(), np.int64), {})
         for row, path in zip(rows[met].tolist(), found, strict=True):
-            paths[row] = path if path.q is None else replace(path, q=_own(robot, path.q))
+            own = None if path.q is None else _own(robot, path.q)
+            paths[row] = replace(path, q=own, hit=None)  # its states are those of another arm
     return paths
 
 

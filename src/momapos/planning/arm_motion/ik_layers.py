@@ -308,6 +308,8 @@ class Layers(NamedTuple):
     """Least excess of the refused configurations of that layer (j,) [-]; infinite without any."""
     where: I1
     """The degree of freedom that exceeds its limit there, or BASE (j,)."""
+    hit: F2
+    """A configuration of that layer that hits the obstacle, after its base pose (j, 3 + n)."""
 
 
 class JointSteps(NamedTuple):
@@ -382,6 +384,7 @@ class Found(NamedTuple):
     counts: I2
     excess: F1
     where: I1
+    hit: F2
 
 
 class TaskArrays(NamedTuple):
@@ -627,6 +630,11 @@ def _solve_layer(j, looked, used, jobs, task, found, scratch, placed, memory):
                     count += 1
                 elif code in (NOWHERE, CUT_OFF, OVERLOADED):
                     code = hit
+                    if hit > worst:
+                        for k in range(3):
+                            found.hit[j, k] = here[k]
+                        for k in range(len(q_arm)):
+                            found.hit[j, 3 + k] = q_arm[k]
         worst = max(worst, code)
     return count, worst
 
@@ -649,6 +657,7 @@ def _solve_layers(jobs: Jobs, task: TaskArrays) -> tuple[np.ndarray, ...]:
         load_scratch(joints, n - len(standing.slides)), np.empty(3),
     )  # fmt: skip
     excess, where = np.full(count, np.inf), np.zeros(count, np.int64)
+    hits = np.zeros((count, 3 + n))
     # The arrays always have space for one job at one waypoint.
     each = max(max_solutions(arm.ik), jobs.own.shape[1])
     most, used = jobs.grasps.shape[1] * each, 0
@@ -659,11 +668,12 @@ def _solve_layers(jobs: Jobs, task: TaskArrays) -> tuple[np.ndarray, ...]:
             if used + most > len(q):
                 q, grasps = np.concatenate((q, np.empty_like(q))), np.append(grasps, grasps)
                 checked = np.append(checked, checked)
-            found = Found(q, grasps, checked, first, counts, excess, where)
+            found = Found(q, grasps, checked, first, counts, excess, where, hits)
             added, code = _solve_layer(j, looked, used, jobs, task, found, scratch, placed, memory)
             if added == 0:
                 codes[j] = code
                 break
             first[j, course.order[looked]], counts[j, course.order[looked]] = used, added
             used, passed[j] = used + added, looked + 1
-    return q[:used], grasps[:used], checked[:used], first, counts, passed, codes, excess, where
+    ends = passed, codes, excess, where, hits
+    return (q[:used], grasps[:used], checked[:used], first, counts, *ends)

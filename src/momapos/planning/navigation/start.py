@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import SceneError
+from momapos.core import SceneError, contact_text
 from momapos.core.geometry import all_inside, place_points
 from momapos.model.collision import FREE, base_hits
 from momapos.model.records import Task
@@ -46,9 +46,11 @@ def check_arm_at_home(nav_map: NavigationMap, pose: Float[np.ndarray, "3"]) -> N
     touched = checker.distance(pose[None])[1][0]
     if touched:
         x, y, yaw = pose
+        gap = float(gaps(pose[None], nav_map.prisms, nav_map.obstacles, cap=_SIGN_CAP)[0])
+        what = f"{nav_map.robot.name} with its arm at home"
+        contact = contact_text(what, touched, -gap) if gap < 0.0 else f"{what} over {touched}"
         raise SceneError(
-            f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {nav_map.robot.name} with its "
-            f"arm at home would touch {touched}; give another start"
+            f"start ({x:.2f}, {y:.2f}, {np.degrees(yaw):.0f} deg): {contact}; give another start"
         )
 
 

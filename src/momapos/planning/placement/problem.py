@@ -321,7 +321,8 @@ class Search:
             rows = np.flatnonzero(np.array([one == best for one in group.kinds], bool)[group.kind])
             if len(rows):
                 x, y, yaw = poses[rows[0]].tolist()
-                return NearestMiss((x, y, yaw), str(best))
+                kind = next(one for one in group.kinds if one == best)
+                return NearestMiss((x, y, yaw), kind.in_full)
         raise AssertionError("the outcome is one of those that were counted")
 
 
