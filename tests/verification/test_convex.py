@@ -150,14 +150,15 @@ def test_a_ball_on_its_way_bites_by_the_cosine_of_its_angle_to_the_normal(lean: 
     ball, wall = one_shape("sphere", (0.05,)), one_shape("box", (0.2, 9.0, 9.0))
     travel = np.linspace(0.0, 0.3, 601)
     Ts = np.tile(np.eye(4), (601, 1, 1, 1))
+    press = np.tile([0.01 * np.cos(lean), 0.01 * np.sin(lean), 0.0], (601, 1))
     for first in (-0.2, -0.145):
         Ts[:, 0, 0, 3] = first + np.cos(lean) * travel  # it touches the wall at -0.15
         Ts[:, 0, 1, 3] = np.sin(lean) * travel
-        state, bite = first_contact(ball, Ts, travel, wall, np.eye(4)[None], 0.01)
+        state, bite = first_contact(ball, Ts, travel, wall, np.eye(4)[None], press)
         assert travel[state] == pytest.approx(max(-0.15 - first, 0.0) / np.cos(lean), abs=6e-4)
         assert bite == pytest.approx(np.cos(lean), abs=1e-3)
         last = state + 11  # 5.5 of 10 mm
-        _, bite = first_contact(ball, Ts[:last], travel[:last], wall, np.eye(4)[None], 0.01)
+        _, bite = first_contact(ball, Ts[:last], travel[:last], wall, np.eye(4)[None], press[:last])
         assert bite == pytest.approx(0.5 * np.cos(lean), abs=1e-3)
     Ts[:, 0, 0, 3] = -0.16
-    assert first_contact(ball, Ts, travel, wall, np.eye(4)[None], 0.01) == (-1, -np.inf)
+    assert first_contact(ball, Ts, travel, wall, np.eye(4)[None], press) == (-1, -np.inf)

@@ -15,7 +15,14 @@ from momapos.apps.cli.robot import robot_check
 from momapos.model.robots.derive import write_robot
 from momapos.model.robots.robot import Robot, load_arms, load_robot
 from momapos.model.robots.robot_tests import RobotTest, examine_at_rest
+from momapos.workflows import robot_self_test
 from momapos.workflows.robot_self_test import self_test
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """First calls check types and shapes, which takes longer than a drawer may."""
+    monkeypatch.setattr(robot_self_test, "TIMEOUT", 30.0)
 
 
 @pytest.fixture
@@ -170,3 +177,29 @@ def test_a_drawer_that_a_weak_arm_cannot_open_gives_the_reason(tmp_path: Path) -
     assert drawer.passed is not True
     assert "needs" in drawer.words
     assert np.isfinite(robot.home).all()
+
+
+DRAWN = '<visual><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></visual>'
+
+
+@pytest.mark.parametrize(
+    ("link", "at", "size", "test", "words"),
+    [
+        ("base_link", "0 0 -0.1", "0.4 0.3 0.2", "upright", "as drawn begins at z = -0.200 m"),
+        ("palm", "0.06 0 0", "0.1 0.03 0.03", "gripper", "mm in palm between the open fingers as"),
+        ("palm", "0 0 0", "0.9 0.9 0.01", "home", "base_link and palm cross as they are drawn"),
+    ],
+)
+def test_what_is_drawn_contradicts_what_collision_shapes_say(
+    link: str, at: str, size: str, test: str, words: str, tmp_path: Path
+) -> None:
+    path, text = tmp_path / "robot.urdf", mobile_manipulator()
+    path.write_text(text)
+    file = write_robot(path)[0]
+    body = DRAWN.format(at="0 0 0.2", size="0.6 0.4 0.4")
+    for name, shape in ((link, DRAWN.format(at=at, size=size)), ("base_link", body)):
+        text = text.replace(f'<link name="{name}">', f'<link name="{name}">{shape}')
+    path.write_text(text)
+    (found,) = [one for one in self_test(load_arms(file)) if one.name == test]
+    assert found.passed is False
+    assert words in found.words

@@ -97,6 +97,23 @@ class Hand:
         axis = starts[a] - starts[b] if len(starts) > 1 else starts[0]
         return np.asarray(axis / max(float(np.linalg.norm(axis)), _STILL))
 
+    @cached_property
+    def presses(self) -> tuple[Float[np.ndarray, "k 3"], ...]:
+        """Return the unit direction in which each digit presses, at each of its states.
+
+        Two sides press against each other along the closing axis, also where linkages carry their
+        pads along arcs: what both do along the pads moves the object, and presses nothing.
+        """
+        if len(self.digits) < 2:
+            return tuple(digit.direction for digit in self.digits)
+        axis = self.closing
+        starts = np.array([digit.direction[0] @ axis for digit in self.digits])
+        two_sided = (np.abs(starts) > -MAX_FACING).all()
+        return tuple(
+            np.sign(digit.direction @ axis)[:, None] * axis if two_sided else digit.direction
+            for digit in self.digits
+        )
+
     def pushed(self, direction: Float[np.ndarray, "3"], far: float) -> Path:
         """Return the path of the whole hand straight along a direction [m]."""
         return _straight(self.shapes, self.Ts_tool_shape, direction, far)
@@ -375,7 +392,7 @@ class HandChecker:
         family, far = grasp.family, self.limits.hand_gap + PRESS
         if hand.digits and family.closes:
             found.append(self._fingers_gap(hand, grasp))
-        closes = [self._meets(digit, grasp)[0] for digit in hand.digits]
+        closes = [travel for travel, _ in self._contacts(hand, grasp)]
         hooks = not family.is_one_sided or not closes or min(closes) < math.inf  # not a flat face
         if grasp.forward is not None and not family.sticks and hooks:
             ahead = self._meets(hand.pushed(grasp.forward, far), grasp)[0]
@@ -390,7 +407,7 @@ class HandChecker:
 
         A single finger closes on a fixed jaw, which is then this far from the part.
         """
-        contacts = [self._meets(digit, grasp) for digit in hand.digits]
+        contacts = self._contacts(hand, grasp)
         touching = [(travel, along) for travel, along in contacts if np.isfinite(travel)]
         gaps = [
             abs(a - b) / 2
@@ -402,20 +419,38 @@ class HandChecker:
             jaw = hand.pushed(-touching[0][1], self.limits.hand_gap + PRESS)
             gaps.append(self._meets(jaw, grasp)[0])
         if not gaps:
-            return math.inf, "its fingers close past it"
+            most = math.degrees(math.atan(self.limits.friction))
+            return math.inf, (
+                f"its fingers close past it, or press on it more than {most:.0f} deg off its "
+                f"normal (friction {self.limits.friction:g})"
+            )
         return min(gaps), "its fingers don't meet it together"
 
-    def _meets(self, path: Path, grasp: _Grasp) -> tuple[float, Float[np.ndarray, "3"]]:
-        """Return the travel until shapes on a path firmly touch the part [m], and their direction.
+    def _contacts(self, hand: Hand, grasp: _Grasp) -> list[tuple[float, Float[np.ndarray, "3"]]]:
+        """Return what `_meets` does for each digit of the hand."""
+        pairs = zip(hand.digits, hand.presses, strict=True)
+        return [self._meets(digit, grasp, press) for digit, press in pairs]
 
-        The travel is infinite if they don't, or slip off it: friction holds a pad where its motion
-        is within the friction cone around the normal of the contact, and not with its edge only.
+    def _meets(
+        self, path: Path, grasp: _Grasp, press: Float[np.ndarray, "k 3"] | None = None
+    ) -> tuple[float, Float[np.ndarray, "3"]]:
+        """Return the travel until shapes on a path firmly touch the part [m], and how they press.
+
+        The travel is infinite if they don't, or slip off it: friction holds a pad where it presses
+        within the friction cone around the normal of the contact, and not with its edge only.
+
+        Args:
+            path: The path.
+            grasp: The hand and the part.
+            press: Unit direction in which they press at each state; None for that of the motion.
         """
+        along = path.direction if press is None else press
         state, bite = first_contact(
-            path.shapes, path.Ts_tool_shape, path.travel, grasp.near, grasp.Ts_tool_near, PRESS
-        )
+            path.shapes, path.Ts_tool_shape, path.travel, grasp.near, grasp.Ts_tool_near,
+            PRESS * along,
+        )  # fmt: skip
         firm = state >= 0 and bite >= math.cos(math.atan(self.limits.friction))
-        return float(path.travel[state]) if firm else math.inf, path.direction[state]
+        return float(path.travel[state]) if firm else math.inf, along[state]
 
 
 def _held_states(motion: Motion, path: DensePath, *, rigid: bool) -> list[tuple[Family, int]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import contact_text
-from momapos.core.compiled import F1, F3, F4, I2, entry, kernel
+from momapos.core.compiled import F1, F2, F3, F4, I2, entry, kernel
 
 from .convex import TOLERANCE, Body, overlap
 from .exact_shapes import ShapeArrays, Shapes, triangle_shapes, without_piece
@@ -55,7 +55,7 @@ def first_contact(
     travel: Float[np.ndarray, " s"],
     b: Shapes,
     Ts_b: Float[np.ndarray, "b 4 4"],
-    press: float,
+    press: Float[np.ndarray, "s 3"],
 ) -> tuple[int, float]:
     """Find the first state in which shapes on a path touch others, and how they press on.
 
@@ -64,16 +64,16 @@ def first_contact(
         Ts_a: Their poses.
         travel: How far any of their points has moved at each state, at most [m].
         b, Ts_b: The other shapes, which stand still.
-        press: How much farther to move after the contact [m].
+        press: By how much to move straight on after a contact at each state [m].
 
     Returns:
         The state, -1 if there is none, and by how much the deepest overlap then grows, as a share
-        of the motion: 1 if the shapes move along the normal of the contact, 0 if they slide along
-        it, and less than 1 also if the path ends before.
+        of the motion: 1 if the shapes press along the normal of the contact, 0 if they slide along
+        it, and less than 1 also if the path ends before it is that long.
     """
     state, bite = _first_contact(
         all_pairs(len(a), len(b)), np.ascontiguousarray(Ts_a), travel,
-        np.ascontiguousarray(Ts_b), a.arrays, b.arrays, press,
+        np.ascontiguousarray(Ts_b), a.arrays, b.arrays, np.ascontiguousarray(press),
     )  # fmt: skip
     return int(state), float(bite)
 
@@ -153,7 +153,7 @@ def _depth_at(pairs, Ts_a, Ts_b, a, b, T):
 
 @entry
 def _first_contact(
-    pairs: I2, Ts_a: F4, travel: F1, Ts_b: F3, a: ShapeArrays, b: ShapeArrays, press: float
+    pairs: I2, Ts_a: F4, travel: F1, Ts_b: F3, a: ShapeArrays, b: ShapeArrays, press: F2
 ) -> tuple[int, float]:
     T, count, s = np.empty((4, 4)), len(Ts_a), np.int64(0)
     while s < count:
@@ -166,11 +166,13 @@ def _first_contact(
             s += 1
     if s == count:
         return -1, -np.inf
-    on = s
-    while on < count - 1 and travel[on] - travel[s] < press:
-        on += 1
-    grown = _depth_at(pairs, Ts_a[on], Ts_b, a, b, T) - depth
-    return int(s), grown / max(travel[on] - travel[s], press)
+    pressed = Ts_a[s].copy()
+    for i in range(len(pressed)):
+        for k in range(3):
+            pressed[i, k, 3] += press[s, k]
+    grown = _depth_at(pairs, pressed, Ts_b, a, b, T) - depth
+    length = max(1e-9, np.sqrt(press[s, 0] ** 2 + press[s, 1] ** 2 + press[s, 2] ** 2))
+    return int(s), grown / length * min(1.0, (travel[-1] - travel[s]) / length)
 
 
 @kernel

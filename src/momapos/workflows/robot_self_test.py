@@ -34,7 +34,7 @@ DRAWERS = (
 )
 """Drawers that are tried, with the value [m], None for 40 cm, which arms with fewer than six joints
 may not reach. Their handles are at 0.77 and 0.74 m."""
-TIMEOUT = 3.0
+TIMEOUT = 4.0
 """Processor time for the search of all drawers by one arm [s]; a library arm needs 0.3 to 0.6 s."""
 THIN = 0.004
 """Edges of the box between the fingers along and across the approach [m]."""

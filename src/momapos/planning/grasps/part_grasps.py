@@ -523,7 +523,7 @@ def _closed(
     p, travel, met = close_hands(hand, elements, held, R, p, config)
     rows = np.flatnonzero(met)
     if not len(rows):
-        return _none(_too_thick(robot, handle, what) or f"the fingers cannot close on {what}")
+        return _none(_too_thick(robot, handle, what) or cannot_close(robot, hand, what))
     rows = rows[stands_clear(hand, elements, held, R[rows], p[rows], config)]
     if not len(rows):
         return _none(_too_thick(robot, handle, what) or f"the open hand does not fit at {what}")
@@ -668,6 +668,15 @@ def _none(reason: str) -> PartGrasps:
         np.zeros((0, 4, 4)), np.zeros(0, np.int64), none, none, np.zeros((0, 3)), none,
         np.zeros(0, np.int64), reason,
     )  # fmt: skip
+
+
+def cannot_close(robot: Robot, hand: HandBoxes, what: str) -> str:
+    """Return the reason why no pads meet something, with the derived values that decide."""
+    return (
+        f"the fingers cannot close on {what}: from tool.opening {100 * robot.opening:.1f} cm each "
+        f"pad of {robot.name} moves {1000 * hand.travel:.0f} mm, and no two pads meet it before "
+        "another part of the hand does"
+    )
 
 
 def _too_thick(robot: Robot, handle: Handle, what: str) -> str:

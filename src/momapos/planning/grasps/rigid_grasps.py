@@ -22,6 +22,7 @@ from .part_grasps import (
     HELD_CLEARANCE_SHARE,
     MIN_OVERLAP,
     advance,
+    cannot_close,
     close_hands,
     contact_of,
     grasp_frames,
@@ -238,7 +239,7 @@ def _pinched(
     R, p, row = start
     p, travel, met = close_hands(hand, elements, held, R, p, config)
     if not met.any():
-        return _none(lines, need, wide or f"the fingers of {robot.name} cannot close on it")
+        return _none(lines, need, wide or cannot_close(robot, hand, "it"))
     R, p, row, travel = R[met], p[met], row[met], travel[met]
     clear = stands_clear(hand, elements, held, R, p, config)
     if not clear.any():
