@@ -25,7 +25,11 @@ from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.trajectory import SpeedConfig
 from momapos.model.urdf.hulls import Boxes, MovingBoxes
-from momapos.planning.arm_motion.payload import carrying_home, payload_hits_at_home
+from momapos.planning.arm_motion.payload import (
+    HOME_SPREAD,
+    carrying_homes,
+    payload_hits_at_home,
+)
 from momapos.planning.config import PipelineConfig
 from momapos.planning.grasps.config import MotionConfig
 from momapos.planning.grasps.task_motions import task_motion
@@ -112,19 +116,23 @@ def test_the_arm_carries_as_near_to_home_as_it_can(room: Scene, fetch: Robot) ->
     task = Task("place", "cup", level=math.radians(15.0))
     motion = task_motion(room, fetch, task, MotionConfig())
     plain = task_motion(room, fetch, Task("place", "cup"), MotionConfig())
+    home = fetch.home[None]
     found = 0
-    for grasp in range(0, len(motion.grasps), 7):
-        assert carrying_home(fetch, plain, grasp) is fetch.home
-        q = carrying_home(fetch, motion, grasp)
-        if q is None:
-            continue
-        found += 1
-        R = fetch.chain.tool_poses(q[None])[0, :3, :3]
+    for grasp in range(0, len(motion.grasps), 14):
+        if payload_hits_at_home(fetch, plain)[grasp] < 0:
+            np.testing.assert_array_equal(carrying_homes(fetch, plain, grasp), home)
+        homes = carrying_homes(fetch, motion, grasp)
+        assert (np.diff(np.linalg.norm(homes - home, axis=1)) >= 0.0).all()
+        assert (homes >= fetch.chain.lower).all()
+        assert (homes <= fetch.chain.upper).all()
+        Rs = fetch.chain.tool_poses(homes)[:, :3, :3]
         standing = motion.Ts_world_tool[grasp, motion.grasp_step, :3, :3]
-        assert (R @ standing.T)[2, 2] > np.cos(task.level or 0.0)
-        assert payload_hits_at_home(fetch.with_home(q), motion)[grasp] < 0
-        assert (q >= fetch.chain.lower).all()
-        assert (q <= fetch.chain.upper).all()
+        assert ((Rs @ standing.T)[:, 2, 2] > np.cos(task.level or 0.0)).all()
+        for q in homes:
+            assert payload_hits_at_home(fetch.with_home(q), motion)[grasp] < 0
+        apart = np.abs(homes[:, None] - homes).max(2) + 9.0 * np.eye(len(homes))
+        assert (apart > HOME_SPREAD).all()
+        found += len(homes) > 1
     assert found > 2
 
 

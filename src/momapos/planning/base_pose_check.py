@@ -340,7 +340,9 @@ def _with_one_grasp(
     base: Float[np.ndarray, "3"],
 ) -> Attempt:
     """Try all grasp modes at a free base pose, the best reached first."""
-    feasible = prepared.feasibility(query.config, query.seed)
+    carried = query.carried
+    homes = None if carried is None else lambda *_: (carried,)
+    feasible = prepared.feasibility(query.config, query.seed, homes=homes)
     # The map misses some poses: it orders the grasps and excludes none.
     scores = prepared.mode_scorers[0](query.reach, base[None]).at_least(MIN_MODE_SCORE).scores
     turning = np.full((1, prepared.motion.turning.modes - scores.shape[1]), MIN_MODE_SCORE / 2)

@@ -9,9 +9,10 @@ import numpy as np
 
 from momapos.core import TaskError
 from momapos.core.geometry import compose, invert, latin_hypercube
-from momapos.model.records import PlacementPlan, Task
+from momapos.model.records import Task
+from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import payload_hits_at_home
+from momapos.planning.arm_motion import carried_at_home
 from momapos.planning.grasps import GraspFilter, TaskMotion
 from momapos.planning.placement import (
     BaseStatus,
@@ -23,6 +24,7 @@ from momapos.planning.placement import (
 
 from .carrying import SAME_GRASP
 from .query import PlacementQuery
+from .result import PlacementResult
 from .spots import spots_for
 from .task_setup import PreparedTask, prepare
 
@@ -51,6 +53,8 @@ class Carry:
     """From how many of some base poses a grasp is within reach at both ends, at least [-]."""
     fails_alone: bool = False
     """Whether the item cannot be picked up or placed there with any grasp."""
+    carried: Float[np.ndarray, " n"] | None = None
+    """The arm's state in which the item is carried, if it is picked up already [rad] or [m]."""
 
     def keeps(self, scene: Scene, task: Task, also: GraspFilter | None) -> GraspFilter:
         """Return the filter that keeps only these grasps for a task in a scene.
@@ -69,12 +73,25 @@ class Carry:
 
         return same
 
-    def holding(self, scene: Scene, plan: PlacementPlan) -> Carry:
-        """Return the same with only the grasp of a plan that picks the item up in a scene."""
-        assert plan.motion is not None
-        T_world_object = scene.object(plan.task.object).T_world_object
-        grasp = invert(T_world_object) @ plan.motion.Ts_world_tool[:1]
-        return replace(self, Ts_object_tool=grasp)
+    def holding(self, scene: Scene, answer: PlacementResult) -> Carry:
+        """Return the same with only the grasp and the carrying state of an answer in a scene."""
+        task, motion = answer.plan.task, answer.plan.motion
+        assert motion is not None
+        T_world_object = scene.object(task.object).T_world_object
+        grasp = invert(T_world_object) @ motion.Ts_world_tool[:1]
+        q = motion.approach[0] if motion.home is None or task.verb == "place" else motion.home[-1]
+        carried = answer.prepared.robot.chain.freedom_values(q)
+        return replace(self, Ts_object_tool=grasp, carried=carried)
+
+
+def at_home_only(robot: Robot, also: GraspFilter | None) -> GraspFilter:
+    """Return the filter that keeps the grasps in which the arm can carry an object at home."""
+
+    def kept(motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+        free = carried_at_home(robot, motion)
+        return free if also is None else free & also(motion)
+
+    return kept
 
 
 def carries_for(query: PlacementQuery, scene: Scene, name: str, place: str | None) -> list[Carry]:
@@ -113,8 +130,9 @@ def carries_for(query: PlacementQuery, scene: Scene, name: str, place: str | Non
             continue
         fails_alone = False
         same = _same(picks, _grasps(there.motion, T))
-        if query.config.motion.level is None:
-            same[:, payload_hits_at_home(query.robot, there.motion) >= 0] = False
+        at_home = carried_at_home(query.robot, there.motion)
+        if same[:, at_home].any():  # else it is carried in another state, see `carrying_homes`
+            same[:, ~at_home] = False
         i, j = np.nonzero(same)
         if len(i):
             count = np.minimum(within[i], _reached(query, there)[j])

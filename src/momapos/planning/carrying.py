@@ -18,7 +18,7 @@ from momapos.core.geometry import signed_area
 from momapos.model.records import Motion, PlacementPlan
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning.arm_motion import carrying_home, carrying_states, payload_hits_at_home
+from momapos.planning.arm_motion import carried_at_home, carrying_homes, carrying_states
 from momapos.planning.grasps import GraspFilter, TaskMotion
 from momapos.planning.navigation import (
     HeldObject,
@@ -56,8 +56,9 @@ class Carrying:
 
     def maps(self, grasp: int) -> Iterator[NavigationMap]:
         """Yield where the robot fits with the object in a grasp, for each state of its arm."""
-        if self._fits_at_home(grasp):
-            yield self._at_home(grasp)
+        if grasp not in self._known:
+            self._known[grasp] = [self._map(grasp, q) for q in self._homes(grasp)]
+        yield from self._known[grasp]
         yield from self._others.get(grasp, ())
 
     def others(self) -> Iterator[tuple[NavigationMap, GraspFilter]]:
@@ -88,19 +89,22 @@ class Carrying:
     @property
     def reason(self) -> str:
         """Return why no grasp can be carried; "" if one may."""
-        if any(map(self._fits_at_home, range(len(self._held)))) or self._others:
+        if any(len(self._homes(grasp)) for grasp in range(len(self._held))) or self._others:
             return ""
         return f"no state of the arm is free of collision with {self.query.task.object} in the hand"
 
-    def _fits_at_home(self, grasp: int) -> bool:
-        motion, robot = self.prepared.motion, self.query.robot
-        if motion.task.level is None:
-            return bool(self._free_at_home[grasp])
-        return carrying_home(robot, motion, grasp) is not None
+    def _homes(self, grasp: int) -> Float[np.ndarray, "k n"]:
+        """Return the preferred states of the arm: home, if it can be, and not `_others`."""
+        query, motion = self.query, self.prepared.motion
+        if query.carried is not None:
+            return query.carried[None]
+        if motion.task.level is not None or query.from_home:
+            return carrying_homes(query.robot, motion, grasp)
+        return query.robot.home[None][: int(self._free_at_home[grasp])]
 
     @cached_property
     def _free_at_home(self) -> Bool[np.ndarray, " g"]:
-        return payload_hits_at_home(self.query.robot, self.prepared.motion) < 0
+        return carried_at_home(self.query.robot, self.prepared.motion)
 
     @cached_property
     def _held(self) -> tuple[HeldObject, ...]:
@@ -109,23 +113,16 @@ class Carrying:
         return tuple(HeldObject.of(item, T) for T in motion.Ts_world_tool[:, motion.grasp_step])
 
     @cached_property
-    def _known(self) -> dict[int, NavigationMap]:
+    def _known(self) -> dict[int, list[NavigationMap]]:
         return {}
 
     @cached_property
     def _sizes(self) -> dict[NavigationMap, tuple[float, float]]:
         return {}
 
-    def _at_home(self, grasp: int) -> NavigationMap:
-        if grasp not in self._known:
-            home = carrying_home(self.query.robot, self.prepared.motion, grasp)
-            assert home is not None
-            self._known[grasp] = self._map(grasp, home)
-        return self._known[grasp]
-
     def _map(self, grasp: int, q: Float[np.ndarray, " n"]) -> NavigationMap:
         query, robot = self.query, self.query.robot
-        carrier = robot if q is robot.home else robot.with_home(q)
+        carrier = robot if np.array_equal(q, robot.home) else robot.with_home(q)
         held = self._held[grasp]
         nav_map = build_navigation_map(query.scene, carrier, query.region.keep_out, held)
         self._sizes[nav_map] = _size(outline_from_above(carrier, held))

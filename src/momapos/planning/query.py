@@ -126,6 +126,9 @@ class PlacementQuery:
     """Returns a further cost of base poses (n, 3), as driving lengths [m]; None for none."""
     from_home: bool = False
     """Whether the arm begins at home also where it carries an object, as after another task."""
+    carried: Float[np.ndarray, " n"] | None = None
+    """The arm's state in which an object is carried, at the start to place it, at the end to pick
+    it up; None to choose it [rad] or [m]."""
     seed: int = 0
     watch: Stopwatch = field(default_factory=lambda: Stopwatch(processor_time))
 

@@ -34,7 +34,7 @@ from momapos.planning.placement import (
 )
 
 from .base_pose_check import BasePoseChecks, plan_at_pose
-from .carries import MAX_CHOICES, Carry, carries_for, refuse_place
+from .carries import MAX_CHOICES, Carry, at_home_only, carries_for, refuse_place
 from .config import PipelineConfig
 from .max_opening import MIN_TIMEOUT, by_samples
 from .other_regions import MAX_OTHER_REGIONS, poses_in_other_regions, without_departure_check
@@ -383,6 +383,8 @@ class _Planner:
     requests: tuple[Request, ...]
     carries: dict[int, Carry] = field(default_factory=dict)
     """How objects are moved, by the index of the task that picks one up for the next task."""
+    _whole: dict[int, Carry] = field(default_factory=dict)
+    """The same before a grasp was chosen."""
     _checks: dict[int, BasePoseChecks] = field(default_factory=dict)
     """Checks of base poses, by task."""
 
@@ -461,9 +463,33 @@ class _Planner:
         visit = [found]
         with suppress(OutOfTimeError):
             for k in range(first + 1, last + 1):
-                visit.append(plan_at_pose(replace(self._query(k), start=base), base))
+                visit += self._then(k, base, visit)
                 self._keep_grasp(k, visit[-1])
         return visit
+
+    def _then(
+        self, k: int, base: Float[np.ndarray, "3"], visit: list[PlacementResult]
+    ) -> list[PlacementResult]:
+        """Return the answer of a task at the stop of the tasks before it.
+
+        If it cannot place an object as that was picked up, the pick is planned again, with the
+        grasp and to the arm's state from which it can.
+        """
+        found = plan_at_pose(replace(self._query(k), start=base), base)
+        if found.plan.feasible or k - 1 not in self.carries:
+            return [found]
+        held, whole = self.carries[k - 1], self._whole[k - 1]
+        self.carries[k - 1] = whole
+        other = plan_at_pose(replace(self._query(k), start=base), base)
+        if other.plan.feasible:
+            self.carries[k - 1] = whole.holding(self.scenes[k][0], other)
+            pick = replace(self._query(k - 1), start=visit[-1].start)
+            again = plan_at_pose(pick, base)
+            if again.plan.feasible:
+                visit[-1] = again
+                return [other]
+        self.carries[k - 1] = held
+        return [found]
 
     def _within_one_reach(self, first: int, last: int) -> bool:
         """Return whether one base pose may reach all that is picked up and placed."""
@@ -553,6 +579,7 @@ class _Planner:
             self.query, scene=scene, task=task, config=self._config(k), region=ANYWHERE,
             from_home=self.query.from_home or k > 0, watch=Stopwatch(self.clock),
             keep_grasps=self._grasps_of(k),
+            carried=next((self.carries[j].carried for j in (k, k - 1) if j in self.carries), None),
         )  # fmt: skip
 
     def _grasps_of(self, k: int) -> GraspFilter | None:
@@ -561,12 +588,15 @@ class _Planner:
         for pick in (k, k - 1):
             if pick in self.carries:
                 return self.carries[pick].keeps(scene, task, self.query.keep_grasps)
+        if task.verb == "pick" and k + 1 < len(self.scenes):
+            return at_home_only(self.query.robot, self.query.keep_grasps)
         return self.query.keep_grasps
 
     def _keep_grasp(self, k: int, found: PlacementResult) -> None:
         """Keep the grasp in which a task picks something up, for the task that places it."""
         if k in self.carries and found.plan.feasible:
-            self.carries[k] = self.carries[k].holding(self.scenes[k][0], found.plan)
+            whole = self._whole[k] = self.carries[k]
+            self.carries[k] = whole.holding(self.scenes[k][0], found)
             self._checks.pop(k + 1, None)
 
     def _config(self, k: int) -> PipelineConfig:

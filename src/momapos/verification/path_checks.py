@@ -83,11 +83,11 @@ def _coordinates(motion: Motion) -> Float[np.ndarray, "s c"]:
 
 
 def home_checks(task: Task, motion: Motion, limits: Limits) -> Iterator[Check]:
-    """Check that the path home ends where the approach starts, unless an object must stay level.
+    """Check that the path home ends where the approach starts, unless the hand carries an object.
 
-    The arm holds it on one of the two, in a state in which it is level.
+    The arm carries it on one of the two, in a state in which it is free, and level if it must be.
     """
-    if motion.home is not None and len(motion.approach) and task.level is None:
+    if motion.home is not None and len(motion.approach) and task.verb not in ("pick", "place"):
         gap = np.abs(motion.home[-1] - motion.approach[0]).max()
         yield at_most("path home ends where the approach starts", gap, limits.join, "rad|m")
 

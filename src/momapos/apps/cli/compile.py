@@ -29,6 +29,7 @@ ANSWER = (
     "momapos.planning.arm_motion.arm_path._shortest_paths",
     "momapos.planning.arm_motion.arm_path._fill_paths",
     "momapos.planning.arm_motion.arm_planner.connect",
+    "momapos.planning.arm_motion.arm_planner.level_states",
     "momapos.planning.grasps.handle_shapes._surface",
     "momapos.planning.grasps.handle_shapes._touches",
     "momapos.planning.navigation.reeds_shepp.shortest_lengths",

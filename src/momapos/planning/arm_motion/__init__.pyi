@@ -26,7 +26,8 @@ from .ik_layers import solve_layers as solve_layers
 from .ik_layers import task_arrays as task_arrays
 from .payload import boxes_near_base as boxes_near_base
 from .payload import boxes_near_swept_volume as boxes_near_swept_volume
-from .payload import carrying_home as carrying_home
+from .payload import carried_at_home as carried_at_home
+from .payload import carrying_homes as carrying_homes
 from .payload import carrying_states as carrying_states
 from .payload import near_boxes as near_boxes
 from .payload import payload_hits_at_home as payload_hits_at_home

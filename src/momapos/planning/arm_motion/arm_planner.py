@@ -413,6 +413,21 @@ def connect(
     return path[:count].copy(), spent
 
 
+@entry
+def level_states(q: F2, lower: F1, upper: F1, motion: MotionArrays) -> np.ndarray:
+    """Return states (k, n) that are turned until the hand is upright, see `_set_upright`.
+
+    Args:
+        q: The states (k, n).
+        lower, upper: Range of each joint.
+        motion: How upright the hand is to be.
+    """
+    scratch, out = motion_scratch(motion, q.shape[1]), q.copy()
+    for i in range(len(out)):
+        _set_upright(out[i], lower, upper, motion, scratch)
+    return out
+
+
 CheckMotion: TypeAlias = "Callable[[Float[np.ndarray, ' n'], Float[np.ndarray, ' n']], bool]"
 """Returns whether the straight motion between two configurations is free, including its ends."""
 

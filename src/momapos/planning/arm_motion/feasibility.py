@@ -44,7 +44,7 @@ from .config import PlannerConfig
 from .free_turn import find_short_paths, smooth_posture
 from .hand_clearance import arm_spheres
 from .ik_layers import TaskLoads
-from .payload import carrying_home, upright_of, with_payload
+from .payload import carrying_homes, upright_of, with_payload
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -64,6 +64,8 @@ _BATCH = 128
 _WIDER = 4
 """Factor by which the number of grasp modes grows from round to round [-]."""
 _THREADS = 2
+MAX_CARRIED = 2
+"""Number of states in which an object is carried that are tried, the nearest ones first [-]."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,8 @@ class Feasibility:
     home_again: bool = False
     """Whether the arm returns home at the end."""
     homes: CarryingStates | None = None
-    """Yields the arm states in which the robot carries the object to a base pose, the preferred one
-    first, given also the grasp; None if it drives with its arm at home."""
+    """Yields the arm states in which the robot carries the object to a base pose, or from it after
+    a pick, the preferred one first, given also the grasp; None to choose them."""
     find: FindPaths | None = None
     """Searches arm paths for a base that moves; None for a base that stands."""
     describe: DescribeContact | None = None
@@ -304,7 +306,7 @@ class Feasibility:
         screened = q
         outcome = PoseOutcome(PoseStatus.NO_ROUTE_CARRYING, self.motion.task.object)
         approach: Float[np.ndarray, "k n"] | None = None
-        for begun in self._begins(base, grasp):
+        for begun in self._begins(base, grasp, q[0]):
             outcome = PoseOutcome(PoseStatus.NO_APPROACH)
             q = near_home(screened, begun, chain.lower, chain.upper)
             q = self.with_smooth_posture(base if bases is None else bases, q, grasp)
@@ -340,18 +342,18 @@ class Feasibility:
             return None, self.refused(grasp, refusal)
         return motion, PoseOutcome(PoseStatus.FEASIBLE)
 
-    def _begins(self, base: Float[np.ndarray, "3"], grasp: int) -> Iterable[np.ndarray]:
-        """Yield the arm states in which the robot arrives at a base pose."""
-        if self.homes is not None:
-            yield from self.homes(base, grasp)
-            return
-        begun = self.robot.home
-        if self._carrying:
-            carried = carrying_home(self.robot, self.motion, grasp)
-            if carried is None:
-                return
-            begun = carried
-        yield begun
+    def _begins(
+        self, base: Float[np.ndarray, "3"], grasp: int, q: Float[np.ndarray, " n"]
+    ) -> Iterable[np.ndarray]:
+        """Return the arm states in which the robot arrives at a base pose, to go to a state."""
+        if not self._carrying:
+            return (self.robot.home,)
+        return self._carried_near(grasp, q) if self.homes is None else self.homes(base, grasp)
+
+    def _carried_near(self, grasp: int, q: Float[np.ndarray, " n"]) -> Float[np.ndarray, "k n"]:
+        """Return the states nearest to one in which an object in a grasp can be carried."""
+        homes = carrying_homes(self.robot, self.motion, grasp)
+        return homes[np.argsort(np.abs(homes - q).max(1), kind="stable")][:MAX_CARRIED]
 
     def with_smooth_posture(
         self, base: Float[np.ndarray, "*d 3"], q: Float[np.ndarray, "d n"], grasp: int
@@ -380,7 +382,8 @@ class Feasibility:
     ) -> Float[np.ndarray, "h m"] | None:
         """Plan all joints' states from the end of the motion (excluded) home; None if impossible.
 
-        The hand carries a picked object; a moved part stays.
+        The hand carries a picked object, to the nearest state in which it can carry it on; a moved
+        part stays.
 
         Args:
             base: Base pose x [m], y [m], yaw [rad].
@@ -393,15 +396,14 @@ class Feasibility:
             self.robot.spheres.by_hulls,
             -1,
         )
-        home, upright = self.robot.home, None
+        homes, upright = self.robot.home[None], None
         if motion.task.verb == "pick":
             T = motion.Ts_world_tool[grasp, last]
             spheres = with_payload(self.robot, motion, T, last)
             upright = upright_of(self.robot, motion, grasp)
-            carried_home = carrying_home(self.robot, motion, grasp)
-            if carried_home is None:
-                return None
-            home = carried_home
+            homes = self._carried_near(grasp, q)
+            if self.homes is not None:
+                homes = np.array([*self.homes(base, grasp)])
         # A hand that pushed has not retracted from the part.
         pushes = motion.task.joint is not None and motion.release_step is None
         checker = partial(
@@ -410,9 +412,12 @@ class Feasibility:
         )  # fmt: skip
         carried = (grasp, len(motion.value) - 1) if motion.task.verb == "pick" else None
         config = brief_config(self.planner)
-        ends = q, home
-        path = self._path(*ends, checker, carried, config, self.seed + grasp, np.empty((0, len(q))))
-        return None if path is None else chain.joint_values(path[1:])
+        for home in homes:
+            none = np.empty((0, len(q)))
+            path = self._path(q, home, checker, carried, config, self.seed + grasp, none)
+            if path is not None:
+                return chain.joint_values(path[1:])
+        return None
 
     def _path(
         self,

@@ -16,6 +16,7 @@ from momapos.model.collision import (
     Upright,
     base_hits,
     box_spheres,
+    build_motions,
     build_world,
     carry,
     check,
@@ -27,6 +28,7 @@ from momapos.model.robots import Robot
 from momapos.model.urdf import Boxes, MovingBoxes
 from momapos.planning.grasps import TaskMotion
 
+from .arm_planner import UPRIGHT_SHARE, level_states
 from .ik_layers import TaskLoads
 
 if TYPE_CHECKING:
@@ -36,9 +38,10 @@ if TYPE_CHECKING:
 SAMPLES = 2048
 """Number of arm states among which those that can carry an object are sought [-]."""
 LEVEL_RADII = (0.3, 0.6, 1.0, 2.0, 3.0)
-"""Largest differences of joints from home among which a level state is sought [rad] or [m]."""
-LEVEL_STEPS = 6
-"""Newton steps toward such a state; each leaves about the square of the tilt [-]."""
+"""Largest differences of joints from home among which such a state is sought [rad] or [m]."""
+MAX_HOMES, HOME_SPREAD = 6, 1.0
+"""Number of states other than home in which an object is carried [-], and how far some joint of one
+is from that of another [rad] or [m]."""
 LEVEL_SHARE = 0.95
 """Share of the allowed tilt that plans use: between states of a path it may be larger [-]."""
 WRIST = 3
@@ -77,14 +80,12 @@ def _object_spheres(
 def payload_hits_at_home(robot: Robot, motion: TaskMotion) -> Int[np.ndarray, " g"]:
     """Find what an object in the hand touches on the robot with its arm at home, for each grasp.
 
-    A placed object starts there, so such a grasp works at no base pose.
-
     Returns:
         An index of a group of the robot's spheres, the number of groups for the base, or -1.
     """
-    chain, spheres = robot.chain, robot.spheres
-    center, radius = _object_spheres(motion, 0)
-    in_tool = np.linalg.inv(motion.Ts_world_tool[:, 0])
+    chain, spheres, step = robot.chain, robot.spheres, motion.grasp_step
+    center, radius = _object_spheres(motion, step)
+    in_tool = np.linalg.inv(motion.Ts_world_tool[:, step])
     Ts = chain.tool_poses(robot.home[None])[0] @ in_tool
     points = np.einsum("gij,kj->gki", Ts[:, :3, :3], center) + Ts[:, None, :3, 3]
     touched = np.full(len(points), -1)
@@ -112,39 +113,65 @@ def _meets_base(
 
 
 @owner_cache(64)
-def carrying_home(robot: Robot, motion: TaskMotion, grasp: int) -> Float[np.ndarray, " n"] | None:
-    """Return the arm state in which a robot drives with an object in a grasp, before or after.
+def carrying_homes(robot: Robot, motion: TaskMotion, grasp: int) -> Float[np.ndarray, "k n"]:
+    """Return the arm states in which a robot drives with an object in a grasp, before or after.
 
-    That is home, or with a level the state nearest to home in which the object is level, and free
-    of robot and hand; None if there is none.
+    That is home. Where the object touches the robot there, or must stay level and is not, these are
+    states that are free and level, each the nearest to home among those around it: an elbow may
+    have to be up in one and down in another to get there.
 
     Args:
         robot: The robot.
         motion: The task motion, which picks the object up or places it.
         grasp: The grasp.
     """
-    upright = upright_of(robot, motion, grasp)
-    if upright is None:
-        return robot.home
-    chain, home = robot.chain, robot.home
+    upright, home, chain = upright_of(robot, motion, grasp), robot.home, robot.chain
+    if upright is None and _free_at_home(robot, motion)[grasp]:
+        return home[None]
     low = np.where(np.isfinite(chain.lower), chain.lower, home - np.pi)
     high = np.where(np.isfinite(chain.upper), chain.upper, home + np.pi)
     spread = 2.0 * halton(SAMPLES, chain.size) - 1.0
     reach = np.repeat(LEVEL_RADII, -(-SAMPLES // len(LEVEL_RADII)))[:SAMPLES, None]
     q = np.clip(home + reach * spread, low, high)
     q[0] = home
-    q = _leveled(robot, upright, q, low, high)
-    q = q[np.argsort(np.linalg.norm(q - home, axis=1), kind="stable")]
     step = motion.grasp_step
     spheres = with_payload(robot, motion, motion.Ts_world_tool[grasp, step], step)
     empty = build_world(Boxes.join([]), _NOTHING, np.zeros(0, bool), [], spheres, clearance=0.0)
+    if upright is not None:
+        straight = build_motions(
+            empty, chain, spheres, np.zeros(3), value=0, holding=True, step=1.0, upright=upright
+        )
+        q = level_states(q, low, high, straight.arrays)
+        up = chain.tool_poses(q)[:, 2, :3] @ (chain.tool_rotation.T @ upright.axis)
+        q = q[up >= 1.0 - UPRIGHT_SHARE * (1.0 - upright.cosine) - 1e-9]
+    q = q[np.argsort(np.linalg.norm(q - home, axis=1), kind="stable")]
     none = np.zeros(len(q), np.int64)
-    codes = check(empty, chain, spheres, q, np.zeros((len(q), 3)), none, none == 0)
+    q = q[check(empty, chain, spheres, q, np.zeros((len(q), 3)), none, none == 0) == FREE]
     center, radius = _object_spheres(motion, step)
     in_tool = apply(invert(motion.Ts_world_tool[grasp, step]), center)
-    q = q[(codes == FREE) & ~_meets_base(robot, apply(chain.tool_poses(q), in_tool), radius)]
-    borne = ~TaskLoads(robot, motion).free(q, (grasp, step)).refused if len(q) else none > 0
-    return q[borne][0] if borne.any() else None
+    q = q[~_meets_base(robot, apply(chain.tool_poses(q), in_tool), radius)]
+    if len(q):
+        q = q[~TaskLoads(robot, motion).free(q, (grasp, step)).refused]
+    chosen = q[:0]
+    while len(q) and len(chosen) < MAX_HOMES:
+        chosen = np.concatenate([chosen, q[:1]])
+        q = q[np.abs(q - q[0]).max(1) > HOME_SPREAD]
+    return chosen
+
+
+@owner_cache()
+def _free_at_home(robot: Robot, motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+    return payload_hits_at_home(robot, motion) < 0
+
+
+def carried_at_home(robot: Robot, motion: TaskMotion) -> Bool[np.ndarray, " g"]:
+    """Return in which grasps the arm can carry an object at home itself."""
+    free = _free_at_home(robot, motion)
+    if motion.task.level is None:
+        return free
+    up = motion.Ts_world_tool[:, motion.grasp_step, 2, :3]
+    level = up @ robot.chain.tool_poses(robot.home[None])[0, 2, :3]
+    return np.asarray(free & (level >= np.cos(LEVEL_SHARE * motion.task.level)))
 
 
 def upright_of(robot: Robot, motion: TaskMotion, grasp: int) -> Upright | None:
@@ -154,33 +181,6 @@ def upright_of(robot: Robot, motion: TaskMotion, grasp: int) -> Upright | None:
         return None
     up = motion.Ts_world_tool[grasp, motion.grasp_step, 2, :3]
     return Upright(robot.chain.tool_rotation @ up, float(np.cos(LEVEL_SHARE * level)))
-
-
-def _leveled(
-    robot: Robot,
-    upright: Upright,
-    q: Float[np.ndarray, "k n"],
-    low: Float[np.ndarray, " n"],
-    high: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "m n"]:
-    """Move arm states by Newton steps to ones in which the hand is upright; drop the others."""
-    chain, small = robot.chain, 1e-5
-    axis = chain.tool_rotation.T @ upright.axis
-
-    def up(q: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "k 3"]:
-        return np.asarray(chain.tool_poses(q)[:, :3, :3] @ axis)
-
-    for _ in range(LEVEL_STEPS):
-        now = up(q)
-        moved = np.repeat(q[:, None], chain.size, axis=1) + small * np.eye(chain.size)
-        slope = (up(moved.reshape(-1, chain.size)).reshape(*q.shape, 3) - now[:, None]) / small
-        J, away = slope[..., :2], now[:, :2]
-        size = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
-        away = np.where(now[:, 2:] > 0.0, away, away / size)
-        square = np.einsum("kni,knj->kij", J, J) + 1e-4 * np.eye(2)
-        step = np.linalg.solve(square, away[..., None])
-        q = np.clip(q - (J @ step)[..., 0], low, high)
-    return q[up(q)[:, 2] > 1.0 - (1.0 - upright.cosine) / 4]
 
 
 def carrying_states(

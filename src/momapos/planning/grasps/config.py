@@ -99,8 +99,8 @@ class MotionConfig:
     """Largest tilt of an object in the hand from how it stands, as of a full cup: on every path of
     the arm, and while the base drives; None for any [deg]."""
     home_again: bool = False
-    """Whether the hand releases the part at the end and the arm returns home, with a picked object,
-    as before another task."""
+    """Whether the hand releases the part at the end and the arm returns home, as before another
+    task; with a picked object that does not fit there, to a state nearby."""
     grasps: GraspConfig = field(default_factory=GraspConfig)
 
     def __post_init__(self) -> None:
