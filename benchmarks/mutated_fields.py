@@ -63,7 +63,7 @@ SOURCES = (
 PHYSICAL = (
     "scene", "robot.urdf", "robot.base_link", "robot.tool_link", "robot.file", "robot.srdf",
     "robot.rest", "robot.arm", "robot.drive", "robot.min_turning_radius", "task.verb",
-    "task.object", "task.joint", "task.to", "task.follower", "task.level",
+    "task.object", "task.joint", "task.to", "task.follower", "task.level", "task.speed",
     "task.poses", "status", "joints", "scene_joints",
     "scene_hypotheses", "resistance", "loads.payload", "start", "base_pose", "base_path",
     "approach", "approach_times", "home", "manipulation.q", "manipulation.object_q",

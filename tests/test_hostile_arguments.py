@@ -97,6 +97,14 @@ def calls(given: dict[str, Any]) -> dict[str, tuple[Callable[..., Any], dict[str
         "plan_reach": (m.plan_reach, {
             "scene": of["scene"], "robot": of["robot"], "poses": [m.ToolPose((0.0, 0.0, 9.0))],
             "reach": given["reach"], "config": given["config"], "in_order": False}),
+        "plan_follow": (m.plan_follow, {
+            "scene": of["scene"], "robot": of["robot"], "reach": given["reach"],
+            "path": m.ToolPath((m.ToolPose((0.0, 0.0, 9.0)), m.ToolPose((0.1, 0.0, 9.0)))),
+            "config": given["config"]}),
+        "ToolPath": (m.ToolPath, {
+            "poses": (m.ToolPose((0.0, 0.0, 1.0)), m.ToolPose((0.1, 0.0, 1.0))), "breaks": (),
+            "speed": 0.1}),
+        "load_path": (m.load_path, {"path": folder / "poses.csv", "scene": of["scene"]}),
         "ToolPose": (m.ToolPose, {"xyz": (0.0, 0.0, 1.0)}),
         "load_poses": (m.load_poses, {"path": folder / "poses.csv", "scene": of["scene"]}),
         "PlacementQuery": (m.PlacementQuery.of, quick),

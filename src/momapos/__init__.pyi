@@ -11,11 +11,13 @@ from .model.records import Motion as Motion
 from .model.records import PlacementPlan as PlacementPlan
 from .model.records import Task as Task
 from .model.records import Tolerance as Tolerance
+from .model.records import ToolPath as ToolPath
 from .model.records import ToolPose as ToolPose
 from .model.robots import Robot as Robot
 from .model.robots import load_robot as load_robot
 from .model.scene import Scene as Scene
 from .model.scene import SceneObject as SceneObject
+from .model.scene import load_path as load_path
 from .model.scene import load_poses as load_poses
 from .model.scene import load_scene as load_scene
 from .model.scene import save_scene as save_scene
@@ -30,6 +32,7 @@ from .planning import iter_placements as iter_placements
 from .planning import placement_tolerance as placement_tolerance
 from .planning import plan_base_placement as plan_base_placement
 from .planning import plan_by_method as plan_by_method
+from .planning import plan_follow as plan_follow
 from .planning import plan_reach as plan_reach
 from .planning import plan_tour as plan_tour
 from .planning.arm_motion import PlannerConfig as PlannerConfig

@@ -85,4 +85,5 @@ from .units import Quantity as Quantity
 from .units import contact_text as contact_text
 from .units import length_text as length_text
 from .units import parse_quantity as parse_quantity
+from .units import parse_speed as parse_speed
 from .versions import version_of as version_of

@@ -66,6 +66,15 @@ def parse_quantity(text: str) -> Quantity:
     raise TaskError(f"{text[:80]!r} is not a value; {EXAMPLES}")
 
 
+def parse_speed(text: str, what: str) -> float:
+    """Parse a speed: 0.05m/s, 5cm/s, or a number [m/s].
+
+    Raises:
+        TaskError: The text is none.
+    """
+    return parse_quantity(text.strip().removesuffix("/s")).length(what)
+
+
 def length_text(value: float) -> str:
     """Return a length in words: 0.30 m, or 4 mm where it is below 1 cm."""
     return f"{1000 * value:.3g} mm" if 0.0 < abs(value) < 0.01 else f"{value:.2f} m"

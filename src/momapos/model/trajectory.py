@@ -498,11 +498,14 @@ class SpeedConfig:
         refuse_below(self, MIN_SPEED, *(item.name for item in fields(self)))
 
     def for_task(self, task: Task) -> SpeedConfig:
-        """Return the speeds at which an object in the hand stays level, if the task asks for that.
+        """Return the speeds for a task: its own, or those at which an object stays level.
 
         The surface of a liquid tilts by the angle whose tangent is the acceleration over that of
-        gravity. It may take half of the allowed tilt; the hand takes the rest.
+        gravity. It may take half of the allowed tilt; the hand takes the rest. A speed that the
+        task states for a path is the tool's limit there.
         """
+        if task.speed is not None:
+            return replace(self, tool_speed=task.speed)
         if task.level is None:
             return self
         most = GRAVITY * math.tan(min(task.level, MAX_SURFACE_TILT) / 2)

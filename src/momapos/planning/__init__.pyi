@@ -14,6 +14,7 @@ from .keyword_forms import iter_placements as iter_placements
 from .keyword_forms import placement_tolerance as placement_tolerance
 from .keyword_forms import plan_base_placement as plan_base_placement
 from .keyword_forms import plan_by_method as plan_by_method
+from .keyword_forms import plan_follow as plan_follow
 from .keyword_forms import plan_reach as plan_reach
 from .keyword_forms import plan_tour as plan_tour
 from .max_opening import last_that_works as last_that_works

@@ -200,7 +200,7 @@ def narrower_hands(query: PlacementQuery, prepared: PreparedTask) -> Iterator[Pl
         prepared: Its task in the scene as it is modeled, for the open hand.
     """
     limited = query.config.motion.grasps.count is not None
-    if limited or query.robot.fully_open is not None or prepared.blocked:
+    if limited or query.robot.fully_open is not None or prepared.blocked or query.task.poses:
         return
     hands = [opened_to(query.robot, width) for width in _openings(prepared)]
     queries = [

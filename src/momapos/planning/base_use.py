@@ -21,15 +21,17 @@ def with_other_use(
     """Return the answer with several stops or a moving base, if the query allows it and one works.
 
     Args:
-        query: The question, about the joint of an object.
+        query: The question; only joints are moved, and paths are followed, like that. The stops
+            of a path are those of `plan_path_stops`.
         fixed: Its answer from one base pose; returned unless it is infeasible.
         answer: Answers a question from one base pose.
     """
     use, task = query.config.base, query.task
-    if fixed.plan.status != "infeasible" or task.joint is None or use == "fixed":
+    rigid = task.joint is None and task.verb != "follow"
+    if fixed.plan.status != "infeasible" or rigid or use == "fixed":
         return fixed
-    words = "no single base pose serves this task"
-    if use in ("stops", "auto"):
+    words = f"no single base pose serves this {'path' if task.poses else 'task'}"
+    if use in ("stops", "auto") and task.joint is not None:
         found = plan_in_stretches(query, fixed, answer)
         if found.answer is not None:
             # Where the hand lets go is a fact of the plan. How far fewer stops could move the part
@@ -41,7 +43,10 @@ def with_other_use(
     if use in ("moving", "auto"):
         moved = plan_moving(query)
         if moved.plan.status != "infeasible":
-            return with_note(moved.with_notes(), f"{words}; the base moves with the part")
+            return with_note(
+                moved.with_notes(),
+                f"{words}; the base moves with the {'tool' if task.poses else 'part'}",
+            )
     return fixed
 
 

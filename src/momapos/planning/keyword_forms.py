@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from momapos.core import InputError, TaskError, expect
-from momapos.model.records import Attempt, ReachScorer, Task, Tolerance, ToolPose
+from momapos.model.records import Attempt, ReachScorer, Task, Tolerance, ToolPath, ToolPose
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 from momapos.planning.baselines import plan_with_method
@@ -18,6 +18,7 @@ from momapos.planning.grasps import make_task
 
 from .base_pose_check import check_pose
 from .chains import plan_chain
+from .follow_path import plan_path_stops
 from .iterate import placements
 from .plan import plan_placement
 from .query import PlacementQuery, QueryOptions, as_query
@@ -289,6 +290,41 @@ def plan_reach(
         expect(f"poses[{k}]", one, ToolPose)
     task = Task("reach", "", poses=tuple(poses))
     return plan_pose_stops(as_query(scene, (robot, task, reach), options), in_order=in_order)
+
+
+def plan_follow(
+    scene: Scene,
+    robot: Robot,
+    path: ToolPath,
+    reach: ReachScorer | None = None,
+    **options: Unpack[QueryOptions],
+) -> Tour:
+    """Return where the robot must stand to move its tool along a path, and how it moves.
+
+    From one base pose if one serves the whole path, else from few that each serve a stretch between
+    two breaks of the path, else while the base moves, if `config.base` allows that.
+
+    Args:
+        scene: The scene.
+        robot: The mobile manipulator.
+        path: The path, see `load_path`.
+        reach: The robot's reachability map; None to load it, or to build it at first use.
+        options: Keywords of `PlacementQuery.of`; `config.timeout` is for the whole answer.
+
+    Returns:
+        One answer for each stretch; a last one without a plan is for the first stretch that no base
+        pose serves.
+
+    Raises:
+        InputError: An argument is wrong, or the path jumps.
+        SceneError: The robot collides at its start pose.
+        UnknownNameError: The path touches an object that does not exist.
+        OutOfTimeError: The time was over.
+    """
+    expect("scene", scene, Scene, "load_scene reads one")
+    expect("path", path, ToolPath, "load_path reads one")
+    task = Task("follow", "", poses=path.poses, speed=path.speed)
+    return plan_path_stops(as_query(scene, (robot, task, reach), options), path.breaks)
 
 
 def _request(value: object) -> Request:

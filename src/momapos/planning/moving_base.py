@@ -289,8 +289,7 @@ def _ways(setup: SearchSetup) -> Iterator[MovingBase]:
         rigid = replace(motion, turning=no_turning(len(motion.Ts_world_tool)))
         yield replace(way, motion=rigid, arm=DrivingArm(robot, axes, SLIDE))
         return
-    span = motion.object_q - motion.object_q[motion.grasp_step]
-    share = np.clip(span / span[-1], 0.0, 1.0)
+    share = motion.progress
     angles = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS if robot.drive == "omni" else [0, np.pi]
     for travel in TRAVELS:
         for angle in angles:

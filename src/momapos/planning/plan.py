@@ -81,6 +81,11 @@ def _with_first_handle(query: PlacementQuery) -> PlacementResult:
     """Answer the query with the first handle in which the hand is free."""
     scene, robot, task, config = query.scene, query.robot, query.task, query.config
     watch = query.watch
+    if task.poses:  # no object is the task's, from which others could be important
+        with watch.stage("model"):
+            motion = task_motion(scene, robot, task, config.motion)
+        answer = _search(query, None, motion)
+        return replace(answer, plan=replace(answer.plan, timing=watch.timing))
     with watch.stage("importance"):
         path = hand_path(scene, task.object, task.joint, task.to)
         ranked = rank(scene, task.object, config.ranking, path=path, seed=query.seed)
@@ -107,23 +112,28 @@ def _with_larger_models(
         result = _search(query, selection, motion)
 
 
-def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> PlacementResult:
-    """Search base poses with the selected objects modeled."""
-    place, watch = query.config.place, query.watch
-    ready = prepare_search(query, query.scene.with_box_proxies(selection.names), motion)
+def _search(
+    query: PlacementQuery, selection: Selection | None, motion: TaskMotion
+) -> PlacementResult:
+    """Search base poses with the selected objects modeled, or all."""
+    place, watch, scene = query.config.place, query.watch, query.scene
+    boxes = () if selection is None else selection.boxes
+    if selection is not None:
+        scene = scene.with_box_proxies(selection.names)
+    ready = prepare_search(query, scene, motion)
     # Only a fully modeled scene can prove a task infeasible; before that, one round of samples is
     # enough.
     brief = replace(place, grid=False, rounds=min(1, place.rounds))
-    config = brief if selection.boxes else place
+    config = brief if boxes else place
     with watch.stage("search"):
         found = search(ready.problem, config, np.random.default_rng(query.seed))
-    if found.timed_out or not selection.boxes:
+    if found.timed_out or not boxes:
         found.accept_fallback()
-    if found.is_no and not selection.boxes:
+    if found.is_no and not boxes:
         with watch.stage("search"):
             found.merge(ready.refine(found, config))
         found.accept_fallback()
-    if found.is_no and not selection.boxes:
+    if found.is_no and not boxes:
         with found.in_time():
             for more in ready.multi_grasp_searches(config):
                 with watch.stage("search"):
@@ -131,5 +141,5 @@ def _search(query: PlacementQuery, selection: Selection, motion: TaskMotion) -> 
                 found.accept_fallback()
                 if not found.is_no:
                     break
-    answer = ready.result(found)
-    return replace(answer, plan=replace(answer.plan, key_objects=selection.record()))
+    answer, key = ready.result(found), None if selection is None else selection.record()
+    return replace(answer, plan=replace(answer.plan, key_objects=key))

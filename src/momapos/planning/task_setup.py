@@ -133,7 +133,7 @@ class PreparedTask:
 
         return Feasibility(
             self.robot, self.world, self.motion, config.arm_planner, violation, seed,
-            config.motion.home_again, homes,
+            config.motion.home_again or bool(self.task.poses), homes,
             describe=lambda *state: self.verifier.contact(*state),
             refusal_detail=lambda why: self.verifier.contacts.get(why, ""),
         )  # fmt: skip
@@ -230,6 +230,8 @@ def _with_free_grasp(
 def _all_collide(motion: TaskMotion, obstacle: str) -> str:
     """Return the reason that every grasp of a motion collides."""
     hits = f"the hand hits {obstacle} in every grasp"
+    if motion.task.poses:
+        return f"the hand hits {obstacle} on the path"
     if not motion.better_handle_reason or motion.handle is None:
         return hits
     return f"{motion.better_handle_reason}, and {hits} of {motion.handle}"

@@ -443,6 +443,8 @@ class PlanVerifier:
         yield from paths.tool_checks(Ts_planned, motion, limits)
         if self.task.poses:
             yield from paths.pose_checks(self.task.poses, motion, Ts_planned)
+            if self.task.verb == "follow":
+                yield from paths.follow_checks(self.task, motion, path, placed.Ts_tool, limits)
         else:
             yield from paths.grasp_checks(part, path, placed.Ts_tool, motion.grasps, limits)
             yield paths.reach_check(part, motion, Ts_planned, limits)

@@ -414,6 +414,93 @@ def pose_checks(
         yield at_most(f"tool beyond the tolerance in {name}", most, 0.0, unit, where, where)
 
 
+def follow_checks(
+    task: Task, motion: Motion, path: DensePath, Ts_world_tool: Float[np.ndarray, "s 4 4"],
+    limits: Limits,
+) -> Iterator[Check]:  # fmt: skip
+    """Check that the tool keeps to the path through its poses, and to its speed.
+
+    Between two poses the tool moves straight and turns evenly, within the tolerance of the second.
+
+    Args:
+        task: The poses, and the speed.
+        motion: Its holds are the states at the poses.
+        path: The interpolated states.
+        Ts_world_tool: The tool at each of these, by the robot's kinematics.
+        limits: The share by which the speed may be exceeded.
+    """
+    at, poses = np.array([hold.first for hold in motion.holds]), task.poses
+    if len(at) != len(poses) or (np.diff(at) <= 0).any() or len(at) < 2:
+        yield verdict("states at the poses in their order", False, f"{len(at)} holds")
+        return
+    state = path.at[path.approach :]
+    rows = path.approach + np.flatnonzero((state >= at[0]) & (state <= at[-1]))
+    Ts, state = Ts_world_tool[rows], path.at[rows]
+    leg = np.clip(np.searchsorted(at, state, side="right") - 1, 0, len(at) - 2)
+    wanted = _between(np.stack([one.T_world_tool for one in poses]), leg, state, at, Ts)
+    excess = np.empty((len(Ts), 2))
+    for tolerance, legs in _by_tolerance(poses):
+        own = np.isin(leg, legs)
+        excess[own] = tolerance.excess(Ts[own], wanted[own])
+    for name, column, scale, unit in (
+        ("position", 0, 1e3, "mm"),
+        ("rotation", 1, 180 / np.pi, "deg"),
+    ):
+        worst = int(excess[:, column].argmax())
+        most = scale * max(float(excess[worst, column]), 0.0)
+        where = f"between {task.pose_names[leg[worst]]} and {task.pose_names[leg[worst] + 1]}"
+        detail = where if most > 0.0 else ""
+        yield at_most(f"tool beyond the path's tolerance in {name}", most, 0.0, unit, detail)
+    if task.speed is not None and motion.times is not None:
+        held = slice(int(at[0]), int(at[-1]) + 1)
+        moved = np.linalg.norm(np.diff(motion.Ts_world_tool[held, :3, 3], axis=0), axis=1)
+        passed = np.maximum(np.diff(motion.times[held]), 1e-9)
+        fastest = 1000 * float(np.where(moved > 1e-9, moved / passed, 0.0).max())
+        yield at_most(
+            "tool speed along the path", fastest, 1000 * limits.speed * task.speed, "mm/s"
+        )
+
+
+def _by_tolerance(poses: Sequence[ToolPose]) -> list[tuple[ToolPose, list[int]]]:
+    """Return a pose for each tolerance, and the legs that end at a pose with it."""
+    found: dict[tuple[object, ...], tuple[ToolPose, list[int]]] = {}
+    for leg, one in enumerate(poses[1:]):
+        key = one.position, one.rotation, one.axis, one.spin, one.cone
+        found.setdefault(key, (one, []))[1].append(leg)
+    return list(found.values())
+
+
+def _between(
+    Ts_poses: Float[np.ndarray, "p 4 4"],
+    leg: Int[np.ndarray, " s"],
+    state: Float[np.ndarray, " s"],
+    at: Int[np.ndarray, " p"],
+    Ts_world_tool: Float[np.ndarray, "s 4 4"],
+) -> Float[np.ndarray, "s 4 4"]:
+    """Return where the tool should be, given the leg of each state and how far it came on it."""
+    from scipy.spatial.transform import Rotation
+
+    point = Ts_world_tool[:, :3, 3]
+    length = np.linalg.norm(np.diff(Ts_poses[:, :3, 3], axis=0), axis=1)
+    turn = rotation_angle(Ts_world_tool[:-1, :3, :3], Ts_world_tool[1:, :3, :3])
+    moved = np.linalg.norm(np.diff(point, axis=0), axis=1)
+    share = np.empty(len(leg))
+    for way, legs in ((moved, length > MIN_LEG), (turn, length <= MIN_LEG)):
+        along = np.concatenate([[0.0], np.cumsum(way)])
+        begin, end = np.interp(at[:-1], state, along), np.interp(at[1:], state, along)
+        own = legs[leg]
+        k = leg[own]
+        share[own] = (along[own] - begin[k]) / np.maximum(end[k] - begin[k], 1e-12)
+    R = Rotation.from_matrix(Ts_poses[:, :3, :3])
+    turns = (R[:-1].inv() * R[1:]).as_rotvec()
+    wanted = np.tile(np.eye(4), (len(leg), 1, 1))
+    wanted[:, :3, :3] = (R[leg] * Rotation.from_rotvec(share[:, None] * turns[leg])).as_matrix()
+    wanted[:, :3, 3] = (
+        Ts_poses[leg, :3, 3] + share[:, None] * np.diff(Ts_poses[:, :3, 3], axis=0)[leg]
+    )
+    return wanted
+
+
 def reach_check(
     part: MovedPart, motion: Motion, Ts_world_tool: Float[np.ndarray, "m 4 4"], limits: Limits
 ) -> Check:
@@ -455,6 +542,8 @@ def _farthest(part: MovedPart, points: Float[np.ndarray, "k 3"]) -> tuple[float,
     return worst, where
 
 
+MIN_LEG = 1e-4
+"""Length between two poses of a path below which the tool only turns there [m]."""
 MAX_SIDEWAYS, SIDEWAYS_SHARE = 3e-4, 0.05
 """A base that cannot drive sideways may move so far in total [m], beyond a share of its path."""
 MAX_OVERTURN = math.radians(0.1)

@@ -145,8 +145,16 @@ def summary(
 
 def _poses(answer: PlacementResult) -> list[str]:
     """The poses to reach in their order, or those that are not reached."""
-    names = answer.plan.task.pose_names
-    return [f"  poses       {shown_names(names)}"] if names else []
+    names = pose_names(answer.plan.task)
+    return [f"  poses       {names}"] if names else []
+
+
+def pose_names(task: Task) -> str:
+    """Name the poses of a task: the ends of a path, or of a set each."""
+    names = task.pose_names
+    if task.verb == "follow":
+        return f"{names[0]} to {names[-1]}"
+    return shown_names(names)
 
 
 def shown_names(names: Sequence[str]) -> str:

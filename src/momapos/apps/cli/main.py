@@ -16,12 +16,13 @@ from contextlib import redirect_stdout, suppress
 
 COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "place": (
-        "plan base poses and motions to open, close, press, pick, place, bring, or reach poses",
+        "plan base poses and motions to open, close, press, pick, place, bring, reach or follow",
         {
             "open": "tour:place_open", "close": "tour:place_close",
             "press": "place:place_press",
             "pick": "place:place_pick", "place": "place:place_place",
             "bring": "tour:place_bring", "reach": "tour:place_reach",
+            "follow": "tour:place_follow",
         },
     ),
     "view": ("show a scene, a plan or a run on a web page; plan there", "view:view"),

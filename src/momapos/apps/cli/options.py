@@ -42,6 +42,7 @@ ObjectArg = Annotated[Positional[str], arg(metavar="OBJECT")]
 PoseArg = Annotated[Text, optional("X,Y,YAW")]
 ValueArg = Annotated[Text, optional("VALUE")]
 PoseFileArg = Annotated[Positional[Path], arg(metavar="POSES")]
+PathFileArg = Annotated[Positional[Optional[Path]], arg(metavar="PATH")]  # noqa: UP045
 GraspsArg = Annotated[Text, optional("FILE[@FRAME]")]
 PlaceArg = Annotated[str, arg(metavar="PLACE")]
 RobustArg = Annotated[Text, optional("LENGTH,ANGLE")]

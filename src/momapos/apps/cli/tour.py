@@ -6,9 +6,17 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from momapos.core import OutOfTimeError, TaskError, check_outputs, say, unknown_name
+from momapos.core import (
+    OutOfTimeError,
+    TaskError,
+    check_outputs,
+    parse_quantity,
+    parse_speed,
+    say,
+    unknown_name,
+)
 from momapos.planning.placement import OURS
 
 from .base_pose_words import parse_pose
@@ -19,12 +27,15 @@ from .options import (
     EXIT_STATUS,
     Flag,
     ObjectArg,
+    PathFileArg,
     PlaceArg,
     PoseFileArg,
     SceneArg,
     Target,
+    Text,
     ValueArg,
     exit_status,
+    optional,
 )
 from .parse import parse
 from .place import (
@@ -216,8 +227,7 @@ def place_reach(
     """
     if options.base is not None:
         raise TaskError("--base does not apply to reach; leave it out")
-    if options.tolerance:
-        raise TaskError("--tolerance does not apply to reach; leave it out")
+    _refuse_tolerance(options, "reach")
 
     def of_scene(room: Scene) -> tuple[Callable[..., Tour], int]:
         from momapos.model.scene import load_poses
@@ -229,6 +239,66 @@ def place_reach(
         ), 1
 
     return _answer_with(scene, (), of_scene, options)
+
+
+def place_follow(
+    scene: SceneArg,
+    path: PathFileArg = None,
+    /,
+    *,
+    wipe: Annotated[Text, optional("OBJECT/FACE")] = None,
+    tool_width: ValueArg = None,
+    tool_length: ValueArg = None,
+    speed: Annotated[Text, optional("SPEED")] = None,
+    options: Shared = DEFAULT,
+) -> int:
+    """Move the tool along a path: from one base pose, from several, or while the base moves.
+
+    Args:
+        scene: A scene file or a built-in kitchen.
+        path: A file of tool poses as for reach, in their order; `"break": true` of a pose allows to
+            leave the path there, to go on from another base pose.
+        wipe: Instead of a path: go to and fro over a face of an object or of a part, such as
+            table/top or chest/drawer/front (top, bottom, front, back, left, right).
+        tool_width: Distance of the lanes of --wipe, such as 8cm.
+        tool_length: How far what the hand holds stands out beyond its fingertips (default: 0).
+        speed: Speed of the tool, such as 5cm/s (default: that of the path, or 25 cm/s at most).
+    """
+    if (path is None) == (wipe is None):
+        raise TaskError("give either a file with the path or --wipe OBJECT/FACE")
+    if wipe is None and (tool_width is not None or tool_length is not None):
+        raise TaskError("--tool-width and --tool-length are for --wipe; leave them out")
+    if wipe is not None and tool_width is None:
+        raise TaskError("--wipe needs --tool-width, such as 8cm")
+    _refuse_tolerance(options, "follow")
+    fast = None if speed is None else parse_speed(speed, "--speed:")
+    width, length = (
+        parse_quantity(value or "0").length(f"{name}:")
+        for name, value in (("--tool-width", tool_width), ("--tool-length", tool_length))
+    )
+
+    def of_scene(room: Scene) -> tuple[Callable[..., Tour], int]:
+        from momapos.model.scene import load_path
+        from momapos.planning import plan_follow
+        from momapos.planning.grasps import wipe_path
+
+        given = None if path is None else load_path(path, room)
+
+        def plan_with(robot: Robot, reach: ReachMap | ArmLength, **how: Any) -> Tour:
+            way = given or wipe_path(room, robot, str(wipe), width, tool_length=length)
+            return plan_follow(
+                room, robot, way if fast is None else replace(way, speed=fast), reach, **how
+            )
+
+        return plan_with, 1
+
+    names = () if wipe is None else (wipe.partition("/")[0],)
+    return _answer_with(scene, names, of_scene, options)
+
+
+def _refuse_tolerance(options: Options, verb: str) -> None:
+    if options.tolerance:
+        raise TaskError(f"--tolerance does not apply to {verb}; leave it out")
 
 
 def _request(verb: str, target: str, to: str | None) -> Request:
@@ -383,7 +453,7 @@ def _deliver(tour: Tour, options: Options) -> None:
 
 def _summary(tour: Tour, options: Options) -> str:
     """Summarize a tour: each stop and its tasks, and why a task has no plan."""
-    from .console import also_for_tolerance, pose_text, shown_names, summary, task_text
+    from .console import also_for_tolerance, pose_names, pose_text, summary, task_text
 
     name = tour.steps[0].plan.robot_name
     done = [step for step in tour.steps if step.plan.feasible]
@@ -401,7 +471,7 @@ def _summary(tour: Tour, options: Options) -> str:
                 f"  stop {stop}      {pose_text(plan.base_pose)}; drive "
                 f"{plan.navigation_cost:.2f} m{_stop_tolerance(here)}"
             )
-        holds = [shown_names(plan.task.pose_names)] if plan.task.poses else step.holds[:1]
+        holds = [pose_names(plan.task)] if plan.task.poses else step.holds[:1]
         lines += [f"    {task_text(step)}; {words}" for words in holds]
         lines += [f"    assumed: {plan.assumes}"] if plan.assumes else []
         lines += [f"    note: {words}" for words in step.notes]

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, get_args
 import numpy as np
 
 from momapos.core import Cache, Clock, Stopwatch, TaskError
-from momapos.model.records import JointVerb, ReachScorer, RequestVerb, Task, ToolPose
+from momapos.model.records import (
+    JointVerb,
+    PoseVerb,
+    ReachScorer,
+    RequestVerb,
+    Task,
+    ToolPose,
+)
 from momapos.model.robots import Robot, load_arms
 from momapos.model.scene import Scene
 from momapos.planning import (
@@ -33,7 +40,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float
 
 METHODS: tuple[str, ...] = get_args(Method)
-VERBS: tuple[RequestVerb, ...] = tuple(verb for verb in get_args(RequestVerb) if verb != "reach")
+VERBS: tuple[RequestVerb, ...] = tuple(
+    verb for verb in get_args(RequestVerb) if verb not in get_args(PoseVerb)
+)
 """What can be planned on the page; tool poses come from files."""
 
 

@@ -37,6 +37,7 @@ from momapos.model.records import (
     Outline,
     Overrides,
     PlacementPlan,
+    PoseVerb,
     Status,
     Task,
     Tolerance,
@@ -342,7 +343,7 @@ def _outlines(areas: tuple[Outline, ...]) -> list[list[list[float]]]:
 def _task_to_dict(task: Task) -> dict[str, Any]:
     members = asdict(task)
     members["object"] = task.object or None
-    for name in ("follower", "poses", "level"):
+    for name in ("follower", "poses", "level", "speed"):
         if not members[name]:
             del members[name]
     return members
@@ -512,8 +513,8 @@ def _check(data: members.Plan, path: Path, version: int) -> None:
     )
     need(len(set(data.joints)) == len(data.joints), "joints contains a joint twice")
     need(
-        (data.task.verb == "reach") == bool(data.task.poses) == (not data.task.object),
-        "task.poses must be the tool poses of reach, whose task.object is null",
+        (data.task.verb in get_args(PoseVerb)) == bool(data.task.poses) == (not data.task.object),
+        "task.poses must be the tool poses of reach or follow, whose task.object is null",
     )
     need(data.task.to is None or math.isfinite(data.task.to), "task.to must be finite")
     moves = data.task.verb in get_args(JointVerb)

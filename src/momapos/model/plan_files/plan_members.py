@@ -59,9 +59,11 @@ class PlanTask(msgspec.Struct):
     follower: str = ""
     """Joint that the user named, which follows `joint`; empty if none."""
     poses: tuple[ToolPose, ...] = ()
-    """Tool poses to reach; each of `manipulation.holds` is the state at one of them."""
+    """Tool poses to reach or to follow; each of `manipulation.holds` is the state at one."""
     level: float | None = None
     """Largest tilt of the object in the hand [rad]; null for any."""
+    speed: float | None = None
+    """Speed of the tool along a path [m/s]; null for the usual limit."""
 
 
 class PlanPose(msgspec.Struct):

@@ -29,11 +29,13 @@ from .plans import MotionLoads as MotionLoads
 from .plans import Outline as Outline
 from .plans import Overrides as Overrides
 from .plans import PlacementPlan as PlacementPlan
+from .plans import PoseVerb as PoseVerb
 from .plans import RequestVerb as RequestVerb
 from .plans import Status as Status
 from .plans import Task as Task
 from .plans import Verb as Verb
 from .plans import status_of_all as status_of_all
+from .poses import ToolPath as ToolPath
 from .poses import ToolPose as ToolPose
 from .protocols import ArticulationPredictor as ArticulationPredictor
 from .protocols import Detector as Detector

@@ -92,11 +92,15 @@ FAMILIES: tuple[Family, ...] = tuple(one for one in Family if one)
 
 JointVerb = Literal["open", "close", "press"]
 """What moves a part by its joint; to press is to push it and to let go."""
-Verb = Literal[JointVerb, "pick", "place", "reach"]
+PoseVerb = Literal["reach", "follow"]
+"""What brings the tool to given poses: to each of a set, or along a path through them."""
+Verb = Literal[JointVerb, "pick", "place", PoseVerb]
 RequestVerb = Literal[Verb, "bring"]
 """What can be requested; to bring an object is to pick it up and to place it."""
 
 
+MIN_TOOL_SPEED = 1e-3
+"""Least speed of the tool along a path [m/s]; a meter then takes 17 minutes."""
 MIN_LEVEL = math.radians(1.0)
 """Least tilt that a request may allow: arms leave their paths by tenths of a degree [rad]."""
 
@@ -122,17 +126,21 @@ class Task:
     follower: str = ""
     """The requested joint, if it is a mimic joint that follows `joint`."""
     poses: tuple[ToolPose, ...] = ()
-    """The tool poses to reach, in their order in a plan; none for other verbs."""
+    """The tool poses to reach, in their order in a plan, or the path to follow; none for other
+    verbs."""
     level: float | None = None
     """Largest tilt of the object in the hand from how it stands, as of a full cup [rad]; None for
     any."""
+    speed: float | None = None
+    """Speed of the tool along a path to follow [m/s]; None for the usual limit."""
 
     def __post_init__(self) -> None:
         one_of("Task.verb", self.verb, get_args(Verb))
         expect("Task.object", self.object, str)
-        if (self.verb == "reach") != bool(self.poses) or bool(self.poses) == bool(self.object):
+        by_poses = self.verb in get_args(PoseVerb)
+        if by_poses != bool(self.poses) or by_poses == bool(self.object):
             raise InputError(
-                f"Task: reach needs poses and no object, other tasks an object; this is "
+                f"Task: reach and follow need poses and no object, other tasks an object; this is "
                 f"{self.verb} {self.object!r:.60} with {len(self.poses)} poses"
             )
         if self.joint is not None:
@@ -142,6 +150,15 @@ class Task:
         if self.level is not None:
             level = finite_number("Task.level", self.level, MIN_LEVEL, math.pi)
             object.__setattr__(self, "level", level)
+        if self.speed is not None:
+            speed = finite_number("Task.speed", self.speed, MIN_TOOL_SPEED, math.inf)
+            object.__setattr__(self, "speed", speed)
+
+    @property
+    def touches(self) -> str:
+        """Return what the hand may touch: the task's object, or that of all its poses; or ""."""
+        contacts = {pose.contact for pose in self.poses}
+        return contacts.pop() if len(contacts) == 1 else self.object
 
     @property
     def pose_names(self) -> tuple[str, ...]:
@@ -152,7 +169,8 @@ class Task:
     def target(self) -> str:
         """Return what the task is about, in words: an object, its joint, or a number of poses."""
         if self.poses:
-            return f"{len(self.poses)} pose{'s' if len(self.poses) > 1 else ''}"
+            of = "a path of " if self.verb == "follow" else ""
+            return f"{of}{len(self.poses)} pose{'s' if len(self.poses) > 1 else ''}"
         return self.object if self.joint is None else f"{self.object}/{self.joint}"
 
 

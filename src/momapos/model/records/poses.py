@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError, expect, finite_array, finite_number
+from momapos.core import InputError, expect, finite_array, finite_number, whole_number
 from momapos.core.geometry import pose_wxyz, rotation_angle
 
 if TYPE_CHECKING:
@@ -82,15 +82,25 @@ class ToolPose:
         """Return the pose as a transform."""
         return pose_wxyz(self.xyz, self.wxyz)
 
-    def excess(self, Ts_world_tool: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 2"]:
+    def excess(
+        self,
+        Ts_world_tool: Float[np.ndarray, "n 4 4"],
+        wanted: Float[np.ndarray, "#n 4 4"] | None = None,
+    ) -> Float[np.ndarray, "n 2"]:
         """Return by how much tools exceed the tolerance in position [m] and rotation [rad].
 
         Values up to 0 are within it. The lean is the angle between the axes; the turn is what is
         left of the rotation after the shortest one between the axes.
+
+        Args:
+            Ts_world_tool: Poses of the tool.
+            wanted: Poses that it should have, with the tolerance of this one; this one by default.
         """
-        wanted = self.T_world_tool
-        R = wanted[:3, :3].T @ Ts_world_tool[:, :3, :3]
-        off = np.abs((Ts_world_tool[:, :3, 3] - wanted[:3, 3]) @ wanted[:3, :3])
+        wanted = self.T_world_tool[None] if wanted is None else wanted
+        back = wanted[:, :3, :3].transpose(0, 2, 1)
+        R = back @ Ts_world_tool[:, :3, :3]
+        away = Ts_world_tool[:, :3, 3] - wanted[:, :3, 3]
+        off = np.abs((back @ away[..., None])[..., 0])
         beyond = (off - self.position).max(1)
         if self.axis is None:
             angle = rotation_angle(R, np.broadcast_to(np.eye(3), R.shape)) - self.rotation
@@ -107,6 +117,37 @@ class ToolPose:
             lean - max(self.cone, self.rotation), twist - max(self.spin, self.rotation)
         )
         return np.stack([beyond, angle], 1) - _ROUNDING
+
+
+@dataclass(frozen=True)
+class ToolPath:
+    """Poses through which the tool moves in one go, straight from each to the next.
+
+    Raises:
+        InputError: There are fewer than two poses, a break is no pose between the first and the
+            last, or the speed is not positive.
+    """
+
+    poses: tuple[ToolPose, ...]
+    breaks: tuple[int, ...] = ()
+    """Indices of the poses at which the tool may leave the path, to come back from another base
+    pose; ascending."""
+    speed: float | None = None
+    """Speed of the tool [m/s]; None for the usual limit."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.poses, Sequence) or isinstance(self.poses, str):
+            raise InputError("ToolPath.poses must be a sequence of ToolPose")
+        for k, pose in enumerate(self.poses):
+            expect(f"ToolPath.poses[{k}]", pose, ToolPose)
+        if len(self.poses) < 2:
+            raise InputError(f"a path needs two poses or more, not {len(self.poses)}")
+        object.__setattr__(self, "poses", tuple(self.poses))
+        last = len(self.poses) - 1
+        breaks = sorted({whole_number("ToolPath.breaks", k, 0, last) for k in self.breaks})
+        object.__setattr__(self, "breaks", tuple(k for k in breaks if 0 < k < last))
+        if self.speed is not None:
+            object.__setattr__(self, "speed", finite_number("ToolPath.speed", self.speed, 0.0))
 
 
 def _row(name: str, value: object, count: int) -> tuple[float, ...]:

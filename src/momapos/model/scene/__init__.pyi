@@ -39,6 +39,7 @@ from .other_motion import with_assumptions as with_assumptions
 from .other_motion import with_overrides as with_overrides
 from .other_motion import with_part_motion as with_part_motion
 from .pose_files import frame_named as frame_named
+from .pose_files import load_path as load_path
 from .pose_files import load_poses as load_poses
 from .pose_files import read_poses as read_poses
 from .pose_files import transform_of as transform_of

@@ -27,11 +27,12 @@ from momapos.core import (
     open_regular,
     parse_json,
     parse_quantity,
+    parse_speed,
     parse_yaml,
     read_text_bounded,
     shown,
 )
-from momapos.model.records import ToolPose
+from momapos.model.records import ToolPath, ToolPose
 
 from .contents import link_named
 from .scene import Scene
@@ -67,7 +68,60 @@ def load_poses(path: str | Path, scene: Scene) -> tuple[ToolPose, ...]:
     """
     path = as_path("path", path)
     expect("scene", scene, Scene)
-    rows, common = _listed(path, read_poses(path))
+    return _poses(path, *_listed(path, read_poses(path)), scene)
+
+
+def load_path(path: str | Path, scene: Scene) -> ToolPath:
+    """Read a path of the tool: a file of poses that may also state `speed`, and `break` of a pose.
+
+    Args:
+        path: A file as of `load_poses`. A pose with `"break": true` is one at which the tool may
+            leave the path, to come back from another base pose.
+        scene: The scene, whose objects may be frames.
+
+    Raises:
+        FileFormatError: The file is missing, damaged, or of another kind.
+        InputError: A pose is invalid, or there are fewer than two.
+        UnknownNameError: A frame or a touched object does not exist.
+    """
+    path = as_path("path", path)
+    expect("scene", scene, Scene)
+    rows, common = _listed(path, read_poses(path), ("speed",))
+    given = [row.get("break", False) if isinstance(row, dict) else False for row in rows]
+    breaks = [k for k, value in enumerate(given) if _flag(f"{path}: pose {k + 1}", value)]
+    rows = [
+        {name: value for name, value in row.items() if name != "break"}
+        if isinstance(row, dict)
+        else row
+        for row in rows
+    ]
+    speed = None
+    if common.get("speed") is not None:
+        given_speed = common["speed"]
+        if isinstance(given_speed, str):
+            given_speed = parse_speed(given_speed, f"{path}: speed")
+        speed = _number(f"{path}: speed", given_speed)
+    try:
+        return ToolPath(_poses(path, rows, common, scene), tuple(breaks), speed)
+    except InputError as error:
+        words = str(error)
+        raise type(error)(words if words.startswith(f"{path}") else f"{path}: {words}") from None
+
+
+def _flag(where: str, value: object) -> bool:
+    """Return a truth value, which a table gives as a word or a digit."""
+    words = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
+    if isinstance(value, str) and value.strip().lower() in words:
+        return words[value.strip().lower()]
+    if not isinstance(value, bool):
+        raise InputError(f"{where}: break must be true or false, not {shown(value)}")
+    return value
+
+
+def _poses(
+    path: Path, rows: Sequence[Any], common: Mapping[str, Any], scene: Scene
+) -> tuple[ToolPose, ...]:
+    """Return the poses of a file in the world."""
     if not rows:
         raise InputError(f"{path}: has no poses")
     if len(rows) > MAX_POSES:
@@ -75,7 +129,9 @@ def load_poses(path: str | Path, scene: Scene) -> tuple[ToolPose, ...]:
     return tuple(_pose(row, common, k, path, scene) for k, row in enumerate(rows, 1))
 
 
-def _listed(path: Path, value: Any) -> tuple[Sequence[Any], Mapping[str, Any]]:
+def _listed(
+    path: Path, value: Any, more: Sequence[str] = ()
+) -> tuple[Sequence[Any], Mapping[str, Any]]:
     """Return the poses of a file as they are, and what it states for all."""
     if isinstance(value, np.ndarray):
         if value.shape[1:] not in ((4, 4), (7,)):
@@ -87,7 +143,7 @@ def _listed(path: Path, value: Any) -> tuple[Sequence[Any], Mapping[str, Any]]:
     if isinstance(value, dict):
         if "poses" not in value:
             return [value], {}
-        _refuse_unknown(value, ("poses", "header", *_COMMON), str(path))
+        _refuse_unknown(value, ("poses", "header", *_COMMON, *more), str(path))
         value, common = value["poses"], value
     if not isinstance(value, list):
         raise FileFormatError(f"{path}: must hold a list of poses, not {shown(value)}")
@@ -146,7 +202,9 @@ def _table(path: Path) -> Sequence[Any]:
             f"{','.join(_COLUMNS)}"
         )
     reader.fieldnames = names
-    _refuse_unknown(dict.fromkeys(names), (*_COLUMNS, "name", *_COMMON[:2], *_TOLERANCE), str(path))
+    _refuse_unknown(
+        dict.fromkeys(names), (*_COLUMNS, "name", "break", *_COMMON[:2], *_TOLERANCE), str(path)
+    )
     rows: list[Any] = []
     for k, row in enumerate(reader, 1):
         where = f"{path}: pose {k}"
@@ -158,7 +216,8 @@ def _table(path: Path) -> Sequence[Any]:
             for some in (_COLUMNS[:3], _COLUMNS[3:])
         )
         tolerance = {name: values[name] for name in _TOLERANCE if name in values}
-        given = {name: values[name] for name in ("name", "frame", "contact") if name in values}
+        named = ("name", "frame", "contact", "break")
+        given = {name: values[name] for name in named if name in values}
         rows.append({"xyz": xyz, "xyzw": xyzw, "tolerance": tolerance, **given})
     return rows
 

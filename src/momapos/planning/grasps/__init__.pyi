@@ -35,3 +35,4 @@ from .task_requests import part_facts_of as part_facts_of
 from .task_requests import parts_of as parts_of
 from .task_requests import slides as slides
 from .task_requests import turns_to as turns_to
+from .wipe_paths import wipe_path as wipe_path

@@ -209,6 +209,8 @@ class TaskMotion:
     """Weight of a rigid object; None for the part of a joint."""
     retreat: Retreat | None = None
     """How a rigid object leaves where it stands; None for the part of a joint."""
+    pose_steps: Int[np.ndarray, " p"] | None = None
+    """The step at each pose of a path to follow; None for other tasks."""
 
     def __repr__(self) -> str:
         grasps, steps = self.Ts_world_tool.shape[:2]
@@ -282,6 +284,18 @@ class TaskMotion:
         return (0,) if self.release_step is None else (0, len(self.object_q) - 1)
 
     @property
+    def progress(self) -> Float[np.ndarray, " d"]:
+        """Return how far the manipulation has come at each step, from 0 to 1.
+
+        This is the share of a joint's motion, or of the steps along a path.
+        """
+        way = self.object_q
+        if self.pose_steps is not None:
+            way = np.arange(len(way)).clip(self.grasp_step, self.release_step).astype(float)
+        way = way - way[self.grasp_step]
+        return np.asarray(np.clip(way / way[-1], 0.0, 1.0))
+
+    @property
     def lanes(self) -> tuple[Int[np.ndarray, "k g"], Int[np.ndarray, " w"]]:
         """Rows of grasp numbers, and the row of each waypoint.
 
@@ -319,7 +333,14 @@ class TaskMotion:
         return out
 
     def holds(self, mode: int) -> tuple[Hold, ...]:
-        """Return a plan's record of a grasp mode; empty for rigid objects."""
+        """Return a plan's record of a grasp mode; empty for rigid objects.
+
+        A path has one for each of its poses.
+        """
+        if self.pose_steps is not None:
+            at = (self.pose_steps - self.grasp_step).tolist()
+            names = zip(at, self.task.pose_names, strict=True)
+            return tuple(Hold(k, k, words=name) for k, name in names)
         if self.task.joint is None:
             return ()
         grasp = int(self.turning.members(np.array([mode]))[0, 0])

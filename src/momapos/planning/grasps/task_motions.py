@@ -40,7 +40,7 @@ from .motion_record import TaskMotion, Weight, no_turning, turning_about
 from .own_grasps import own_poses
 from .part_grasps import pinch_capacity
 from .part_motion import lever_arms, levers_along, motion_directions
-from .pose_targets import targets_of, tool_poses_of
+from .pose_targets import path_motion, targets_of, tool_poses_of
 from .retreats import Retreat, along_slide, retreats
 from .rigid_grasps import select_object_grasps
 
@@ -155,6 +155,8 @@ def task_motion(
     Raises:
         TaskError: The robot has no gripper for a rigid object, or the object has no shape.
     """
+    if task.verb == "follow":
+        return path_motion(scene, robot, task, config)
     if task.poses:
         return targets_of(scene, task, [tool_poses_of(pose) for pose in task.poses])[0].motion
     target = scene.object(task.object)
@@ -217,7 +219,7 @@ GraspFilter: TypeAlias = "Callable[[TaskMotion], Bool[np.ndarray, ' g']]"
 
 def in_scene(motion: TaskMotion, scene: Scene) -> TaskMotion:
     """Return the same motion with the static boxes of another version of the scene."""
-    target = scene.object(motion.task.object)
+    target = scene.object(motion.task.touches)
     joint = motion.task.joint
     moved = target.model.links if joint is None else target.model.moved_by(joint)
     static, labels = static_boxes(scene, target, frozenset(moved))

@@ -21,7 +21,7 @@ from momapos.core import (
     parse_quantity,
 )
 from momapos.core.geometry import apply
-from momapos.model.records import JointVerb, Task, Verb
+from momapos.model.records import JointVerb, PoseVerb, Task, Verb
 from momapos.model.scene import (
     ResistanceConfig,
     Scene,
@@ -87,8 +87,9 @@ def make_task(
         object_name, _, joint = object_name.partition("/")
     if joint is not None:
         expect("joint", joint, str)
-    if not isinstance(verb, str) or verb not in get_args(Verb):
-        raise TaskError(f"no verb {verb!r}; it must be one of {', '.join(get_args(Verb))}")
+    verbs = [one for one in get_args(Verb) if one not in get_args(PoseVerb)]
+    if not isinstance(verb, str) or verb not in verbs:
+        raise TaskError(f"no verb {verb!r}; it must be one of {', '.join(verbs)}")
     target = scene.object(object_name)
     if verb not in get_args(JointVerb):
         if joint is not None or to is not None:
