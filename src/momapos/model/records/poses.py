@@ -144,6 +144,8 @@ class ToolPath:
             raise InputError(f"a path needs two poses or more, not {len(self.poses)}")
         object.__setattr__(self, "poses", tuple(self.poses))
         last = len(self.poses) - 1
+        if not isinstance(self.breaks, Sequence | np.ndarray) or isinstance(self.breaks, str):
+            raise InputError(f"ToolPath.breaks must be indices of poses, not {self.breaks!r:.60}")
         breaks = sorted({whole_number("ToolPath.breaks", k, 0, last) for k in self.breaks})
         object.__setattr__(self, "breaks", tuple(k for k in breaks if 0 < k < last))
         if self.speed is not None:
