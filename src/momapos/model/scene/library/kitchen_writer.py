@@ -481,6 +481,8 @@ def _inertial(boxes: Sequence[Box], origin: Vec) -> str:
     # The inertia of a box with half sizes h equals that of masses at +-h/sqrt(3) on its axes.
     second = np.einsum("n,ni,nj->ij", masses, offset, offset) + np.diag(masses @ halves**2 / 3)
     I = np.trace(second) * np.eye(3) - second  # noqa: E741
+    # Rounding errors, which depend on the processor.
+    I = np.where(np.abs(I) < 1e-9 * np.trace(second), 0.0, I)  # noqa: E741
     terms = " ".join(
         f'i{"xyz"[i]}{"xyz"[j]}="{I[i, j]:.4g}"' for i in range(3) for j in range(i, 3)
     )
