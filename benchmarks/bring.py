@@ -1,11 +1,12 @@
 """Bring drawn items to drawn places in seven kitchens, check the plans, and execute them.
 
-    python benchmarks/bring.py [--count 100] [--seed 0] [--robots fetch ...] [--run] [--out FILE]
+    python benchmarks/bring.py [--count 100] [--seed 0] [--robots fetch ...] [--run] [--level DEG]
+        [--out FILE]
 
 An item is a rigid object of at most 30 cm; a place is any other object on which it has a free spot.
 Only errands are drawn for which the robot reaches some grasp at both ends from somewhere. All plans
-are verified from their files. With --run each is executed in physics. Prints a table and what was
-not done.
+are verified from their files. With --run each is executed in physics, and with --level the largest
+tilt of the item there is measured. Prints a table and what was not done.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,9 +30,12 @@ from momapos.model.records import Task
 from momapos.model.scene import builtin_names
 from momapos.planning import PipelineConfig, PlacementQuery, Request, Tour, plan_tour
 from momapos.planning.carries import carries_for
-from momapos.simulation import run_exactly
+from momapos.simulation import RunTrace, run_exactly
 from momapos.verification import verify_files
 from placement import SCENES, arm, scene_of
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 MAX_EDGE = 0.3
 """Largest edge of an item [m]."""
@@ -71,14 +76,14 @@ def drawn(robots: Sequence[str], count: int, seed: int) -> list[Errand]:
     return [(some := every[k % len(every)])[int(rng.integers(len(some)))] for k in range(count)]
 
 
-def answer(errand: Errand, *, run: bool) -> dict[str, Any]:
+def answer(errand: Errand, config: PipelineConfig = CONFIG, *, run: bool) -> dict[str, Any]:
     """Plan an errand; check its files, and execute them."""
     name, place_scene, item, place = errand
     scene, (robot, reach) = scene_of(place_scene), arm(name)
     row: dict[str, Any] = {"errand": errand}
     began = time.process_time()
     try:
-        tour = plan_tour(scene, robot, [Request("bring", item, None, place)], reach, config=CONFIG)
+        tour = plan_tour(scene, robot, [Request("bring", item, None, place)], reach, config=config)
     except MomaposError as error:
         return row | {
             "status": "refused",
@@ -103,10 +108,21 @@ def check(tour: Tour, folder: Path, *, run: bool) -> dict[str, Any]:
         write_plan(step.plan, folder / f"{k}.json")
         found["valid"] &= verify_files(folder / f"{k}.json").valid
         if run:
-            done = run_exactly(step.plan, room, step.prepared.robot).execution
+            trace = RunTrace()
+            done = run_exactly(step.plan, room, step.prepared.robot, watch=trace).execution
             if done is None or not done.success:
                 found |= {"done": False, "failed": "" if done is None else done.reason}
+            poses = np.array(trace.motion().poses)
+            found["tilt"] = max(found.get("tilt", 0.0), tilt_in(step.plan.task.verb, poses))
     return found
+
+
+def tilt_in(verb: str, poses: Float[np.ndarray, "s 7"]) -> float:
+    """Return how far an item was tilted at most from how it stands [deg]."""
+    w, x, y, z = poses[:, 3:].T
+    up = np.column_stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    standing = up[-1 if verb == "place" else 0]
+    return float(np.degrees(np.arccos(np.clip(up @ standing, -1.0, 1.0)).max()))
 
 
 def report(rows: Sequence[dict[str, Any]]) -> str:
@@ -131,6 +147,11 @@ def report(rows: Sequence[dict[str, Any]]) -> str:
         for row in rows if row["status"] != "solved"
     ]  # fmt: skip
     lines += [f"- {' '.join(row['errand'])}: {row['failed']}" for row in rows if "failed" in row]
+    tilts = np.array([row["tilt"] for row in rows if "tilt" in row])
+    if len(tilts):
+        lines.append(
+            f"- tilt in physics: median {np.median(tilts):.1f}, most {tilts.max():.1f} deg"
+        )
     return "\n".join(lines)
 
 
@@ -141,11 +162,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS))
     parser.add_argument("--run", action="store_true")
+    parser.add_argument("--level", type=float)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
+    config = replace(CONFIG, motion=replace(CONFIG.motion, level=args.level))
     rows = []
     for errand in drawn(args.robots, args.count, args.seed):
-        rows.append(answer(errand, run=args.run))
+        rows.append(answer(errand, config, run=args.run))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     if args.out is not None:
         args.out.write_text("\n".join(json.dumps(row) for row in rows) + "\n")

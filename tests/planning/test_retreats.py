@@ -93,7 +93,9 @@ def test_a_carton_goes_from_one_compartment_without_a_lift_into_another(segway: 
     scene = room(0.258, *shelf(0.258, x=2.0, name="other"))
     up = PipelineConfig(motion=MotionConfig(retreat="up"))
     answer = plan_base_placement(scene, segway, Task("pick", "carton"), config=up)
-    assert "carton/box hits shelf_roof/box when lifted" in str(answer.plan.candidates.rejections)
+    (reason,) = answer.plan.candidates.rejections
+    assert "shelf_roof/box" in reason
+    assert "when lifted by" in reason
     tour = plan_tour(scene, segway, [Request("bring", "carton", None, "other_board")])
     assert tour.status == "solved"
     for step in tour.steps:

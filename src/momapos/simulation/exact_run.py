@@ -15,6 +15,7 @@ import numpy as np
 
 from momapos.core import Clock, InputError
 from momapos.core.geometry import rotation_angle, wrap_angle
+from momapos.model import time_motion
 from momapos.model.records import Hold, Motion, PlacementPlan
 from momapos.model.robots import Robot, opened_as
 from momapos.model.scene import Scene, with_assumptions
@@ -139,7 +140,18 @@ class _PlanRun:
         if home is None:
             return None
         ending = None if self.plan.task.verb == "pick" or not run.held else run.let_go()
-        return ending or self._follow(home, self._times(home), Stage.RETREAT)
+        return ending or self._follow(home, self._times_home(home), Stage.RETREAT)
+
+    def _times_home(self, home: Float[np.ndarray, "m n"]) -> Float[np.ndarray, " m"]:
+        """Return times for a path home, at which the arm accelerates as on the rest of the plan.
+
+        Without limits of acceleration an arm with an object tips a narrow base over at corners.
+        """
+        tools = np.array([self.run.arm.kinematics.at(q)[0] for q in home])
+        back = Motion(home, home[-1:], np.zeros(1), tools[-1:])
+        speed = self.run.config.speed.for_task(self.plan.task)
+        timed, _ = time_motion(self.robot, back, speed, self.step, verb="place")
+        return np.asarray(timed.state_times)
 
     def _drive(self) -> Ending | None:
         """Follow the base path, with the arm at the first state of the approach."""
