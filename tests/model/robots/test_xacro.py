@@ -52,8 +52,9 @@ def test_a_xacro_file_becomes_a_urdf_next_to_the_robot_file(tmp_path: Path) -> N
             "package 'nobody' was not found",
         ),
         (
-            f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/><xacro:include '
-            'filename="$(find noone)/y.xacro"/><xacro:of_nobody/></robot>',
+            f'{HEAD}<xacro:include filename="$(find nobody)/x.xacro"/><xacro:of_nobody/>'
+            '<link name="${of_nobody * 2}"/><xacro:include filename="$(find noone)/y.xacro"/>'
+            "</robot>",
             "packages 'nobody', 'noone' were not found.*--package nobody=DIR --package noone=DIR",
         ),
         (f"{HEAD}<xacro:nothing/></robot>", "cannot be expanded"),

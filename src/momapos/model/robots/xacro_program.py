@@ -541,7 +541,8 @@ class Files:
         self.switches: dict[str, str] = {}
         """Arguments and environment variables that are off by default, with their defaults."""
         self.missing: list[str] = []
-        """Packages that were not found; their files count as empty, so that all are named."""
+        """Packages that were not found; their files count as empty, their macros as nothing,
+        and their properties as 0, so that all are named."""
         library.parse = self.parse
         library.handle_macro_call = self.call
 
@@ -588,11 +589,26 @@ class Files:
             except KeyError:
                 return False
             node.tagName = f"xacro:{node.tagName}"
-        return self._call(node, macros, symbols)
+        try:
+            return self._call(node, macros, symbols)
+        except self._library.XacroException:
+            if not self.missing:
+                raise
+            self._library.replace_node(node, by=None)  # a macro of a missing package
+            return True
+
+    def evaluate(self, text: str, names: Any) -> Any:
+        """Evaluate an expression; 0 for names that missing packages may define."""
+        try:
+            return evaluate(text, names)
+        except Exception:
+            if not self.missing:
+                raise
+            return 0
 
 
 def confine(
-    library: Any, substitution_args: Any, packages: Any, gate: FileGate, missing: list[str]
+    library: Any, substitution_args: Any, packages: Any, gate: FileGate, files: Files
 ) -> None:
     """Evaluate the expressions of a library by our grammar, within its files.
 
@@ -601,7 +617,7 @@ def confine(
         substitution_args: Its module for `$(...)`, which is changed.
         packages: The module that finds packages by name.
         gate: It learns the folders of the packages.
-        missing: Receives the names of packages that are not found.
+        files: It learns the names of packages that are not found.
     """
 
     def find(name: str) -> str:
@@ -611,7 +627,7 @@ def confine(
             try:
                 folder = os.path.realpath(packages.get_path(name))
             except packages.PackageNotFoundError:
-                missing.append(name)
+                files.missing.append(name)
                 return f"{_NOWHERE}{name}"
         gate.roots.append(folder)
         return folder
@@ -631,7 +647,7 @@ def confine(
         return str(evaluate(text, {**known, "true": True, "false": False}))
 
     _name_functions(library)
-    library.safe_eval = lambda text, names, _=None: evaluate(text, names)
+    library.safe_eval = lambda text, names, _=None: files.evaluate(text, names)
     substitution_args._eval, substitution_args._eval_find = substitute, find
 
 
@@ -685,7 +701,7 @@ def main() -> None:
     packages.update_package_cache(asked["packages"])
     gate = FileGate([*asked["roots"], *asked["packages"].values()])
     files = Files(xacrodoc.xacro, old=asked["old"])
-    confine(xacrodoc.xacro, xacrodoc.substitution_args, packages, gate, files.missing)
+    confine(xacrodoc.xacro, xacrodoc.substitution_args, packages, gate, files)
     answer: dict[str, Any] = {}
     gate.close()
     try:
