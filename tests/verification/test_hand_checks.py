@@ -245,3 +245,27 @@ def test_a_grasp_transmits_what_pulls_at_it(family: str, tmp_path: Path) -> None
     for force, share in shares.items():
         assert share == pytest.approx(most / (transmitted * force), rel=0.01)
     assert (shares[1.0] > 1.0) == (family != "push")
+
+
+ARC = """<link name="{name}_crank"/><joint name="{name}_turn" type="revolute"><parent link="palm"/>
+<child link="{name}_crank"/><origin xyz="0 {side}0.05 0.1"/><axis xyz="{other}1 0 0"/>
+<limit lower="0" upper="0.9" effort="60" velocity="1"/></joint>
+<joint name="{name}_tip" type="revolute"><parent link="{name}_crank"/><child link="{name}"/>
+<origin xyz="0 {other}0.05 0.02"/><axis xyz="{other}1 0 0"/>
+<limit lower="-0.9" upper="0" effort="60" velocity="1"/>
+<mimic joint="{name}_turn" multiplier="-1"/></joint>"""
+"""A linkage that carries a finger inward and forward, without turning it."""
+
+
+@pytest.mark.parametrize(("shift", "off"), [(0.0, set()), (0.05, {OFF})])
+def test_fingers_on_arcs_hold_what_is_between_them(
+    shift: float, off: set[str], tmp_path: Path
+) -> None:
+    case = make_case(grip=Grip((0.0, 0.0, -shift)))
+    begin = case.robot.index('<joint name="left_slide"')
+    end = case.robot.index('<joint name="mount"')
+    arcs = ARC.format(name="left", side="-", other="") + ARC.format(
+        name="right", side="", other="-"
+    )
+    case.robot = case.robot[:begin] + arcs + case.robot[end:]
+    assert failed(case, tmp_path) == off

@@ -107,8 +107,8 @@ class Hand:
         if len(self.digits) < 2:
             return tuple(digit.direction for digit in self.digits)
         axis = self.closing
-        starts = np.array([digit.direction[0] @ axis for digit in self.digits])
-        two_sided = (np.abs(starts) > -MAX_FACING).all()
+        ways = np.array([digit.direction.sum(0) for digit in self.digits])
+        two_sided = (np.abs(ways @ axis) > -MAX_FACING * np.linalg.norm(ways, axis=1)).all()
         return tuple(
             np.sign(digit.direction @ axis)[:, None] * axis if two_sided else digit.direction
             for digit in self.digits
