@@ -106,10 +106,19 @@ def widest(
             crossing |= dict.fromkeys(closing.names)
         leaning = max(leaning, float(gap[gap < PLAUSIBLE_OPENINGS[1]].max(initial=0.0)))
         if best.opening < gap[k] and PLAUSIBLE_OPENINGS[0] < gap[k] < PLAUSIBLE_OPENINGS[1]:
-            values = {} if _has_thumb(sides) else closing.values(k, 4)
+            values = {} if _has_thumb(sides) else _rounded(model, closing.values(k))
             best = Stroke(float(gap[k]), values)
     opening, crossing = round(best.opening, 3), {} if best.opening else crossing
     return Stroke(opening, best.rest, round(leaning, 3), tuple(crossing))
+
+
+def _rounded(model: Articulated, values: Mapping[str, float]) -> dict[str, float]:
+    """Return joint values with 4 decimals, but none beyond its limits."""
+    joints = {name: model.joint(name) for name in values}
+    return {
+        name: min(max(round(value, 4), joints[name].lower), joints[name].upper)
+        for name, value in values.items()
+    }
 
 
 def narrower(
