@@ -23,7 +23,7 @@ from momapos.model.scene.scene_files import load_scene, save_scene
 from momapos.model.scene.scene_object import SceneObject
 from momapos.model.trajectory import with_times
 from momapos.planning.config import PipelineConfig
-from momapos.planning.grasps.wipe_paths import wipe_path
+from momapos.planning.grasps.surfaces import wipe_path
 from momapos.planning.keyword_forms import plan_follow
 from momapos.planning.tour import Tour
 from momapos.verification.plan_check import verify_files

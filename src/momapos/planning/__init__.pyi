@@ -29,6 +29,10 @@ from .other_regions import without_departure_check as without_departure_check
 from .partial_opening import with_max_opening as with_max_opening
 from .query import DEFAULT as DEFAULT
 from .query import PlacementQuery as PlacementQuery
+from .reach_study import PoseMap as PoseMap
+from .reach_study import ReachStudy as ReachStudy
+from .reach_study import map_poses as map_poses
+from .reach_study import study_reach as study_reach
 from .result import PlacementResult as PlacementResult
 from .result import cheapest as cheapest
 from .search_setup import prepare_search as prepare_search

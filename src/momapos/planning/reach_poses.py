@@ -207,7 +207,7 @@ class PoseSearch:
 
     def answer(self) -> Tour:
         """Return the stops; tool poses that no base pose serves come last."""
-        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
+        usable = self.usable
         with self.query.watch.stage("search"):
             rows = self.rows_of(self._samples(usable))
         steps, served = self._most(rows)
@@ -272,6 +272,7 @@ class PoseSearch:
         *,
         reach: ReachScorer | None = None,
         by_map: bool = True,
+        every: bool = False,
     ) -> ServingBases:
         """Return the base poses that stand clear and that the robot may drive to.
 
@@ -280,9 +281,9 @@ class PoseSearch:
             reach: The reachability map; that of the query by default.
             by_map: Whether the reachability map says which poses each serves, and those that serve
                 none are left out; else all poses within the arm's length count.
+            every: Whether base poses that serve none are kept.
         """
-        query, geometry = self.query, self.prepared.geometry
-        usable = np.flatnonzero([len(one) > 0 for one in self.tools])
+        query, geometry, usable = self.query, self.prepared.geometry, self.usable
         kept = standing_codes(geometry, bases)
         off, blocked = kept == OFF_FLOOR, (kept != OFF_FLOOR) & (kept != FREE)
         self.counts[PoseOutcome(PoseStatus.OFF_FLOOR)] += int(off.sum())
@@ -303,11 +304,37 @@ class PoseSearch:
         if len(usable):
             scorer = (reach or query.reach) if by_map else None
             serves[:, usable] = self._reached(bases, usable, scorer)
-        some = serves.any(1) | (not by_map)
+        some = serves.any(1) | (not by_map) | every
         self.counts[PoseOutcome(PoseStatus.OUT_OF_REACH)] += int((~some).sum())
         return ServingBases(
             bases[some], travel[some], serves[some], np.zeros(int(some.sum()), bool)
         )
+
+    @property
+    def usable(self) -> Int[np.ndarray, " k"]:
+        """Return the poses at which the hand is free."""
+        return np.flatnonzero([len(one) > 0 for one in self.tools])
+
+    def _reaches(
+        self, poses: Int[np.ndarray, " k"]
+    ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
+        """Return the position of some poses, and how far the base may be from each [m]."""
+        geometry = self.prepared.geometry
+        reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
+        return geometry.Ts_world_tool[0, poses, :2, 3], reach
+
+    def rectangle(
+        self, poses: Int[np.ndarray, " k"]
+    ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """Return the corners of the floor from which some poses may be within reach [m]."""
+        if not len(poses):
+            return np.zeros(2), np.zeros(2)
+        floor = self.prepared.geometry.floor_polygon
+        points, reach = self._reaches(poses)
+        low, high = (points - reach[:, None]).min(0), (points + reach[:, None]).max(0)
+        if floor is None:
+            return low, high
+        return np.maximum(low, floor.min(0)), np.minimum(high, floor.max(0))
 
     def _samples(
         self, poses: Int[np.ndarray, " k"], share: float = 1.0, seed: int | None = None
@@ -319,17 +346,10 @@ class PoseSearch:
             share: Number of base poses, relative to the usual one.
             seed: Shifts them; that of the query by default.
         """
-        if not len(poses):
-            return np.zeros((0, 3))
-        geometry = self.prepared.geometry
-        reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
-        points = geometry.Ts_world_tool[0, poses, :2, 3]
-        low, high = (points - reach[:, None]).min(0), (points + reach[:, None]).max(0)
-        if geometry.floor_polygon is not None:
-            low = np.maximum(low, geometry.floor_polygon.min(0))
-            high = np.minimum(high, geometry.floor_polygon.max(0))
+        low, high = self.rectangle(poses)
         if (low >= high).any():
             return np.zeros((0, 3))
+        points, reach = self._reaches(poses)
         area = float(np.prod(high - low))
         count = int(share * np.clip(SAMPLES_PER_AREA * area, MIN_SAMPLES, MAX_SAMPLES))
         shift = np.random.default_rng(self.query.seed if seed is None else seed).uniform(size=3)
@@ -348,9 +368,7 @@ class PoseSearch:
     ) -> Bool[np.ndarray, "n k"]:
         """Return which poses may be within reach from which base poses, by a map or by length."""
         if reach_map is None:
-            geometry = self.prepared.geometry
-            reach = (arm_radius(geometry) + np.linalg.norm(geometry.shoulder[:2]))[poses]
-            points = geometry.Ts_world_tool[0, poses, :2, 3]
+            points, reach = self._reaches(poses)
             return np.hypot(*(bases[:, None, :2] - points).transpose(2, 0, 1)) <= reach
         tools = [self.tools[k] for k in poses.tolist()]
         Ts = np.ascontiguousarray(np.concatenate(tools)[:, None])

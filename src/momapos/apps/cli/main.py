@@ -54,8 +54,11 @@ COMMANDS: dict[str, tuple[str, str | dict[str, str]]] = {
     "solve": ("go from a scan to an executed task in one command", "solve:solve"),
     "schema": ("print the JSON Schema of a file format", "schema:schema"),
     "reach": (
-        "build and evaluate reachability maps",
-        {"build": "reach:reach_build", "eval": "reach:reach_eval"},
+        "build and evaluate reachability maps, study how a surface is reached",
+        {
+            "build": "reach:reach_build", "eval": "reach:reach_eval",
+            "study": "reach_study:reach_study",
+        },
     ),
     "bench": (
         "compare methods: run a suite of tasks, report the results",

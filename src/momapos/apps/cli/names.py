@@ -19,12 +19,13 @@ _SCENE, _ROBOT, _OBJECT, _PART, _SUITE = "scene", "robot", "object", "part", "su
 _SHOWN = "scene or robot"
 _POSITIONS = {
     ("place", "open"): (_SCENE, _PART), ("place", "close"): (_SCENE, _PART),
-    ("place", "press"): (_SCENE, _PART),
+    ("place", "press"): (_SCENE, _PART), ("place", "follow"): (_SCENE,),
     ("place", "pick"): (_SCENE, _OBJECT), ("place", "place"): (_SCENE, _OBJECT),
     ("rank",): (_SCENE, _PART), ("view",): (_SHOWN,), ("scene", "show"): (_SCENE,),
     ("scene", "check"): (_SCENE,), ("scene", "convert"): (_SCENE,), ("scene", "scan"): (_SCENE,),
     ("robot", "show"): (_ROBOT,), ("robot", "check"): (_ROBOT,), ("robot", "export"): (_ROBOT,),
-    ("reach", "build"): (_ROBOT,), ("reach", "eval"): (_ROBOT,), ("bench", "run"): (_SUITE,),
+    ("reach", "build"): (_ROBOT,), ("reach", "eval"): (_ROBOT,),
+    ("reach", "study"): (_ROBOT,), ("bench", "run"): (_SUITE,),
 }  # fmt: skip
 """What the arguments without an option name, by command."""
 _OPTIONS = {"--robot": _ROBOT, "--robots": _ROBOT, "--world": _SCENE, "--joint": _PART}

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
+from momapos.apps.plots import check_figure_path
 from momapos.core import (
     OutOfTimeError,
     TaskError,
@@ -53,6 +54,8 @@ from .place import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from momapos.model.records import PlacementPlan
     from momapos.model.robots import Robot
     from momapos.model.scene import Scene
@@ -215,6 +218,7 @@ def place_reach(
     /,
     *,
     in_order: Flag = False,
+    map_file: MapArg = None,
     options: Shared = DEFAULT,
 ) -> int:
     """Bring the tool to a set of poses: from one base pose, or else from as few as possible.
@@ -224,7 +228,9 @@ def place_reach(
         poses: A JSON, YAML or CSV file of tool poses, messages of ROS among them, or an array of
             numpy.
         in_order: Keep the order of the file.
+        map_file: Draw how many poses each base position serves (PNG, SVG or PDF).
     """
+    check_figure_path(map_file)
     if options.base is not None:
         raise TaskError("--base does not apply to reach; leave it out")
     _refuse_tolerance(options, "reach")
@@ -238,7 +244,7 @@ def place_reach(
             room, robot, targets, reach, in_order=in_order, **how
         ), 1
 
-    return _answer_with(scene, (), of_scene, options)
+    return _answer_with(scene, (), of_scene, options, map_file)
 
 
 def place_follow(
@@ -349,6 +355,7 @@ def _answer_with(
     names: Sequence[str],
     of_scene: Callable[[Scene], tuple[Callable[..., Tour], int]],
     options: Options,
+    map_file: Path | None = None,
 ) -> int:
     """Plan a tour, write it and print it.
 
@@ -358,6 +365,7 @@ def _answer_with(
         of_scene: Returns what plans the tour of a robot in the scene, and the least number of plans
             that are written next to it.
         options: Options of the command.
+        map_file: File of a map of the base positions that serve the tour's tool poses.
     """
     config = options.read_config()
     _check(options, config)
@@ -374,9 +382,30 @@ def _answer_with(
         say(json.dumps({"status": "timeout", "detail": str(late)}) if options.json else late)
         return EXIT_STATUS["timeout"]
     _deliver(tour, options)
+    if map_file is not None:
+        _draw_map(tour, config, map_file)
     if interrupted.is_set():
         raise KeyboardInterrupt
     return exit_status(tour.status, allow_assumed=options.allow_assumed)
+
+
+def _draw_map(tour: Tour, config: PipelineConfig, path: Path) -> None:
+    """Draw from where how many of a tour's tool poses are reached."""
+    from momapos.apps.plots import draw_pose_map
+    from momapos.core import Stopwatch, processor_time
+    from momapos.planning import map_poses
+
+    from .console import busy
+
+    query = tour.steps[0].query
+    assert query is not None
+    poses = tuple(pose for step in tour.steps for pose in step.plan.task.poses)
+    task = replace(query.task, poses=poses)
+    query = replace(query, task=task, config=config, watch=Stopwatch(processor_time))
+    with busy(f"{query.robot.name}: map"):
+        found = map_poses(query)
+    bases = [step.plan.base_pose for step in tour.steps if step.plan.base_pose is not None]
+    draw_pose_map(query.scene, query.robot, poses, found, bases, path)
 
 
 def _plan(

@@ -27,6 +27,8 @@ from .palette import TARGET as TARGET
 from .palette import TARGET_EDGE as TARGET_EDGE
 from .palette import WALL as WALL
 from .palette import WAYPOINT as WAYPOINT
+from .reach_plot import draw_pose_map as draw_pose_map
+from .reach_plot import draw_study as draw_study
 from .robot_figures import COLORS as COLORS
 from .robot_figures import DARK as DARK
 from .robot_figures import PALE as PALE

@@ -57,6 +57,7 @@ from .statics import load_excess as load_excess
 from .statics import load_scratch as load_scratch
 from .statics import state_loads as state_loads
 from .statics import static_loads as static_loads
+from .tool_tracking import dexterities as dexterities
 from .tool_tracking import least_dexterity as least_dexterity
 from .tool_tracking import track_tools as track_tools
 from .tool_tracking import travel_of_arm as travel_of_arm

@@ -41,14 +41,21 @@ def jacobians(
     return np.swapaxes(np.concatenate([along, around], axis=-1) / _STEP, -1, -2)
 
 
-def least_dexterity(chain: Chain, q: Float[np.ndarray, "m n"], length: float) -> float:
-    """Return the smallest dexterity over some states, in [0, 1]; 0 if a state is singular.
+def dexterities(
+    chain: Chain, q: Float[np.ndarray, "m n"], length: float
+) -> Float[np.ndarray, " m"]:
+    """Return the dexterity of each state, in [0, 1]; 0 if it is singular.
 
-    The dexterity is the smallest singular value of the Jacobian over the largest, the inverse of
-    its condition number (Salisbury and Craig 1982). Arguments as for `jacobians`.
+    This is the smallest singular value of the Jacobian over the largest, the inverse of its
+    condition number (Salisbury and Craig 1982). Arguments as for `jacobians`.
     """
     values = np.linalg.svd(jacobians(chain, q, length), compute_uv=False)
-    return float((values[:, -1] / values[:, 0]).min())
+    return np.asarray(values[:, -1] / values[:, 0])
+
+
+def least_dexterity(chain: Chain, q: Float[np.ndarray, "m n"], length: float) -> float:
+    """Return the smallest dexterity over some states, see `dexterities`."""
+    return float(dexterities(chain, q, length).min())
 
 
 def travel_of_arm(chain: Chain, q: Float[np.ndarray, "m n"], length: float) -> float:

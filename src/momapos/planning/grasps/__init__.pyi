@@ -21,6 +21,8 @@ from .pose_targets import tool_poses_of as tool_poses_of
 from .retreats import LIFT_HEIGHT as LIFT_HEIGHT
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
+from .surfaces import surface_poses as surface_poses
+from .surfaces import wipe_path as wipe_path
 from .task_motions import GraspFilter as GraspFilter
 from .task_motions import in_scene as in_scene
 from .task_motions import rigid_retreats as rigid_retreats
@@ -35,4 +37,3 @@ from .task_requests import part_facts_of as part_facts_of
 from .task_requests import parts_of as parts_of
 from .task_requests import slides as slides
 from .task_requests import turns_to as turns_to
-from .wipe_paths import wipe_path as wipe_path

@@ -1,4 +1,4 @@
-"""Make a path over a face: lanes to and fro, as one wipes, sands or sprays.
+"""Make tool poses on surfaces: points spread over one, or lanes over a face, to and fro.
 
 A face is the plane with the largest area among the surfaces that look in one direction. Lanes run
 along its shorter side, so that a stop serves a piece of the longer one, and end half a tool's width
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from momapos.core import InputError, expect, finite_number, unknown_name
-from momapos.core.geometry import apply, invert
+from momapos.core.geometry import apply, halton, invert, orthonormal
 from momapos.model.records import ToolPath, ToolPose
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene, SceneObject, link_named
@@ -38,7 +38,11 @@ BREAK = 0.3
 GAP = 0.002
 """Distance of the tool from the face [m], less than what checks tolerate as contact."""
 MIN_WIDTH = 0.005
-"""Least distance of lanes [m]."""
+"""Least distance of lanes, and of points [m]."""
+MIN_AREA = 1e-10
+"""Triangles below this area have no direction [m^2]."""
+MAX_POINTS = 2_000
+"""Largest number of points on a surface, as of poses in a file [-]."""
 
 
 def wipe_path(
@@ -85,6 +89,65 @@ def wipe_path(
     return ToolPath(poses, tuple(range(1, len(poses) - 1)))
 
 
+def surface_poses(
+    scene: Scene,
+    robot: Robot,
+    surface: str,
+    spacing: float,
+    *,
+    cone: float = 0.0,
+    standoff: float = 0.0,
+) -> tuple[ToolPose, ...]:
+    """Return tool poses spread evenly over a surface, with the hand toward it and free to turn.
+
+    Args:
+        scene: The scene.
+        robot: The robot, whose hand's tip is at the points.
+        surface: An object, or a part of it as OBJECT/PART.
+        spacing: Mean distance of neighboring points [m].
+        cone: Angle by which the hand may lean [rad].
+        standoff: Distance of the hand's tip from the surface [m].
+
+    Raises:
+        InputError: A number is out of range, or there are more than `MAX_POINTS` points.
+        UnknownNameError: There is no such object or part.
+    """
+    expect("scene", scene, Scene, "load_scene reads one")
+    expect("robot", robot, Robot, "load_robot reads one")
+    expect("surface", surface, str)
+    spacing = finite_number("spacing", spacing, MIN_WIDTH)
+    lean = finite_number("cone", cone, 0.0, np.pi / 2)
+    away = _tip(robot) + finite_number("standoff", standoff, 0.0) + GAP
+    name, _, part = surface.partition("/")
+    item = scene.object(name)
+    triangles = _surface(item, (link_named(item, part),) if part else item.model.links)
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    count = max(1, round(float(area.sum()) / spacing**2))
+    if count > MAX_POINTS:
+        least = spacing * np.sqrt(count / MAX_POINTS)
+        raise InputError(
+            f"{surface} has {count:,} points {100 * spacing:g} cm apart; at most {MAX_POINTS:,} "
+            f"are looked at, so a spacing of {100 * least:.1f} cm or more"
+        )
+    share, u, v = halton(count, 3).T
+    passed = np.cumsum(area)
+    chosen = np.minimum(np.searchsorted(passed, share * passed[-1], side="right"), len(area) - 1)
+    root = np.sqrt(u)
+    weights = np.stack([1 - root, root * (1 - v), root * v], axis=1)
+    points = np.einsum("nk,nki->ni", weights, triangles[chosen])
+    normals = cross[chosen] / (2 * area[chosen, None])
+    poses = []
+    for k, (point, normal) in enumerate(zip(points, normals, strict=True), 1):
+        x, y, z = (point + away * normal).tolist()
+        rotation = _hand_rotation(robot, normal, orthonormal(normal))
+        poses.append(ToolPose(
+            (x, y, z), rotation, f"point {k}", axis=_axis(robot), spin=np.pi, cone=lean,
+            contact=item.name,
+        ))  # fmt: skip
+    return tuple(poses)
+
+
 def _direction(item: SceneObject, part: str, side: str) -> Float[np.ndarray, "3"]:
     """Return the direction in which a face looks, in the world."""
     moves = [j.name for j in item.model.joints.values() if part in (j.name, j.child)]
@@ -97,16 +160,23 @@ def _direction(item: SceneObject, part: str, side: str) -> Float[np.ndarray, "3"
     return np.asarray(sign * item.T_world_object[:3, axis])
 
 
-def _plane(
-    item: SceneObject, links: tuple[str, ...], normal: Float[np.ndarray, "3"], face: str
-) -> Float[np.ndarray, "t 3 3"]:
-    """Return the triangles of the largest plane that looks in a direction, in the world."""
+def _surface(item: SceneObject, links: tuple[str, ...]) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles with an area of some links, in the world."""
     poses = item.link_poses()
     found = [
         apply(poses[link], item.model.surface(link).reshape(-1, 3)).reshape(-1, 3, 3)
         for link in links
     ]
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *found])
+    every = np.concatenate([np.zeros((0, 3, 3)), *found])
+    cross = np.cross(every[:, 1] - every[:, 0], every[:, 2] - every[:, 0])
+    return np.asarray(every[np.linalg.norm(cross, axis=1) > MIN_AREA])
+
+
+def _plane(
+    item: SceneObject, links: tuple[str, ...], normal: Float[np.ndarray, "3"], face: str
+) -> Float[np.ndarray, "t 3 3"]:
+    """Return the triangles of the largest plane that looks in a direction, in the world."""
+    triangles = _surface(item, links)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     looks = cross @ normal > 2 * area * np.cos(MAX_TILT)
