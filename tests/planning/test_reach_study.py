@@ -86,13 +86,14 @@ def test_the_command_writes_a_table_a_picture_and_a_map(tmp_path: Path) -> None:
     command = ["reach", "study", "segway_ur5e", str(tmp_path / "cube.stl"), "--spacing", "15cm"]
     found = json_of(
         *command, "--out", str(tmp_path / "t.csv"), "--plot", str(tmp_path / "p.png"),
-        "--map", str(tmp_path / "m.png"), "--json",
+        "--map", str(tmp_path / "m.png"), "--page", str(tmp_path / "p.html"), "--json",
     )  # fmt: skip
     rows = list(csv.DictReader((tmp_path / "t.csv").read_text().splitlines()))
     assert len(rows) == found["points"] == 24
     assert sum(int(row["reached"]) for row in rows) == found["reached"] > 0
     for name in ("p.png", "m.png"):
         assert (tmp_path / name).stat().st_size > 10_000
+    assert f"{found['reached']} of 24 points are reached" in (tmp_path / "p.html").read_text()
     at = ",".join(map(str, found["base_pose"]))
     words = output_of(*command, "--at", f"{at}rad")
     assert f"{found['reached']} of 24 points of cube are reached" in words

@@ -41,6 +41,7 @@ def reach_study(
     out: OptionalFile = None,
     plot: OptionalFile = None,
     map_file: Annotated[OptionalFile, arg(name="map")] = None,
+    page: OptionalFile = None,
     json: Flag = False,
 ) -> int:
     """Look how well a robot reaches the points of a surface, from a given or the best base pose.
@@ -62,10 +63,11 @@ def reach_study(
         out: Write tool poses, whether they are reached, and dexterity to this CSV file.
         plot: Draw the surface with its points (PNG, SVG or PDF).
         map_file: Draw how many points each base position serves (PNG, SVG or PDF).
+        page: Write a web page with the surface, its points and the robot (HTML).
         json: Print one JSON object.
     """
     find_named_robot(robot)
-    check_outputs([out, plot, map_file])
+    check_outputs([out, plot, map_file, page])
     for figure in (plot, map_file):
         check_figure_path(figure)
     apart, away = (
@@ -75,7 +77,7 @@ def reach_study(
     lean = parse_quantity(cone).angle("--cone:")
     given = None if at is None else parse_pose(at, "--at")
     from momapos.apps.plots import draw_pose_map, draw_study
-    from momapos.core import write_atomic
+    from momapos.core import require, write_atomic
     from momapos.model.records import Task
     from momapos.model.robots import load_robot
     from momapos.planning import PlacementQuery, map_poses, study_reach
@@ -98,6 +100,10 @@ def reach_study(
     if map_file is not None and found is not None:
         bases = [] if study.base_pose is None else [study.base_pose]
         draw_pose_map(room, machine, poses, found, bases, map_file)
+    if page is not None:
+        with require("view"):
+            from momapos.apps.web.static import write_study_page
+        write_study_page(room, machine, name, poses, study, page)
     reached = int(study.reached.sum())
     if json:
         say(encoder.dumps({

@@ -10,18 +10,19 @@ import webbrowser
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from momapos.core import InputError, escape_html, write_file
-from momapos.model.records import PlacementPlan
+from momapos.model.records import PlacementPlan, ToolPose
 from momapos.model.robots import Robot
 from momapos.model.scene import Scene
-from momapos.planning import PlacementResult
+from momapos.planning import PlacementResult, ReachStudy
 
 from .cameras import DAY, DAY_INTENSITY, frame, lamps
 from .card import Card
+from .colors import INFEASIBLE, rgb
 from .map_layers import draw_path
 from .playback import RATE, Playable, Story
 from .robot_view import RobotView
@@ -179,20 +180,9 @@ def page_of(
     story = story or Story.of(plan, robot, scene)
     server = open_server("127.0.0.1", 0)  # viser records only what a server has drawn
     try:
-        bases = np.array([story.at(story.duration).base])
         target = active or target_text(plan.task)
-        frame(server, scene, target, bases, close=CLOSE)
-        lamps(server.scene, LIGHT, plain=large(scene))
-        server.scene.configure_default_lights(enabled=False, cast_shadow=False)
-        server.scene.configure_environment_map(
-            None if large(scene) else DAY, environment_intensity=DAY_INTENSITY
-        )
-        server.scene.set_background_image(sky(LIGHT), format="png")
-        room, robot_view = RoomView(server.scene), RobotView(server.scene)
-        name, _, joint = target.partition("/")
-        room.show(scene, name, joint or None)
-        robot_view.show(robot, story.at(0.0).base)
-        robot_view.verdict("feasible")
+        last = story.at(story.duration).base
+        room, robot_view = _furnish(server, scene, target, robot, story.at(0.0).base, last)
         if plan.base_path is not None:
             draw_path(server.scene, "/path", plan.base_path)
         if plan.motion is not None and plan.motion.base is not None:
@@ -215,6 +205,89 @@ def page_of(
         with quiet():
             server.stop()
     return html
+
+
+def _furnish(
+    server: Any,
+    scene: Scene,
+    target: str,
+    robot: Robot,
+    base: Float[np.ndarray, "3"],
+    last: Float[np.ndarray, "3"],
+) -> tuple[RoomView, RobotView]:
+    """Draw a room and a robot at a base pose; the camera looks at the target from the last one."""
+    frame(server, scene, target, np.array([last]), close=CLOSE)
+    lamps(server.scene, LIGHT, plain=large(scene))
+    server.scene.configure_default_lights(enabled=False, cast_shadow=False)
+    server.scene.configure_environment_map(
+        None if large(scene) else DAY, environment_intensity=DAY_INTENSITY
+    )
+    server.scene.set_background_image(sky(LIGHT), format="png")
+    room, robot_view = RoomView(server.scene), RobotView(server.scene)
+    name, _, joint = target.partition("/")
+    room.show(scene, name, joint or None)
+    robot_view.show(robot, base)
+    robot_view.verdict("feasible")
+    return room, robot_view
+
+
+WELL_REACHED = ("#dde318", "#21918c", "#440f5c")
+"""Colors of points from barely to best reached, for all kinds of color vision."""
+POINT = 0.02
+"""Size of a point on a surface [m]."""
+
+
+def write_study_page(
+    scene: Scene,
+    robot: Robot,
+    surface: str,
+    poses: Sequence[ToolPose],
+    study: ReachStudy,
+    path: Path,
+) -> None:
+    """Write a page with a surface's points, colored by how well the robot reaches each.
+
+    Args:
+        scene: The room.
+        robot: The robot, drawn at the base pose with its arm at home.
+        surface: The object, or a part of it as OBJECT/PART.
+        poses: Tool poses at its points.
+        study: How well each is reached; red points are not.
+        path: An HTML file; its folder is created if needed.
+
+    Raises:
+        InputError: No base pose reaches a point, or the file cannot be written.
+    """
+    check_page(path)
+    if study.base_pose is None:
+        raise InputError(f"{surface}: no base pose reaches a point, so there is no page to write")
+    points = np.array([pose.xyz for pose in poses])
+    share = study.dexterity / max(float(study.dexterity.max()), 1e-9)
+    stops = np.array([rgb(color) for color in WELL_REACHED])
+    at = np.linspace(0.0, 1.0, len(stops))
+    shades = np.stack([np.interp(share, at, column) for column in stops.T], axis=1)
+    shades[~study.reached] = rgb(INFEASIBLE)
+    server = open_server("127.0.0.1", 0)
+    try:
+        base = np.array(study.base_pose)
+        _furnish(server, scene, surface.partition("/")[0], robot, base, base)
+        server.scene.add_point_cloud(
+            "/points",
+            points.astype(np.float32),
+            shades.astype(np.uint8),
+            point_size=POINT,
+            point_shape="circle",
+            precision="float32",
+        )
+        recording = server.get_scene_serializer()
+        recording.insert_sleep(PAUSE_AT_END)
+        reached = f"{int(study.reached.sum())} of {len(poses)} points are reached"
+        words = Card(reached, "good", f"{robot.title} reaches {surface}")
+        html = with_overlay(recording.as_html(), words, [("study", 0.0, 1.0)], PAUSE_AT_END)
+    finally:
+        with quiet():
+            server.stop()
+    write_file(path, html)
 
 
 def _times(duration: float) -> Sequence[float]:
