@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from .config import PipelineConfig
 from .max_opening import by_samples, last_that_works
 from .plan import plan_placement
 from .query import PlacementQuery
@@ -40,7 +41,7 @@ def plan_path_stops(query: PlacementQuery, breaks: Sequence[int] = ()) -> Tour:
         stands = replace(query, config=by_samples(replace(query.config, base="fixed")))
     steps = [plan_placement(stands)]
     if steps[0].plan.status == "infeasible" and breaks:
-        steps = _stretches(stands, breaks, steps[0])
+        steps = _stretches(stands, breaks, steps[0], query.config)
         moves = query.config.base in ("moving", "auto")
         if moves and not steps[-1].plan.feasible and query.config.timeout > query.watch.total:
             moved = plan_placement(query)
@@ -51,29 +52,39 @@ def plan_path_stops(query: PlacementQuery, breaks: Sequence[int] = ()) -> Tour:
 
 
 def _stretches(
-    query: PlacementQuery, breaks: Sequence[int], whole: PlacementResult
+    query: PlacementQuery, breaks: Sequence[int], whole: PlacementResult, thorough: PipelineConfig
 ) -> list[PlacementResult]:
-    """Return an answer for each stretch, the longest from each stop; the last may have no plan."""
-    poses, start, at = query.task.poses, query.start, 0
-    last, done = len(poses) - 1, list[PlacementResult]()
-    while at < last:
-        ends = [k for k in (*breaks, last) if k > at]
-        failed: PlacementResult | None = None
+    """Return an answer for each stretch, the longest from each stop; the last may have no plan.
 
-        def plan(index: int) -> PlacementResult | None:
-            nonlocal failed
-            task = replace(query.task, poses=poses[at : ends[index] + 1])  # noqa: B023
-            answer = plan_placement(replace(query, task=task, start=start))  # noqa: B023
-            failed = failed if answer.plan.feasible else answer
-            return answer if answer.plan.feasible else None
+    Args:
+        query: The question, to be answered quickly.
+        breaks: Indices of the poses at which the path may be cut.
+        whole: The answer for the whole path, which has no plan.
+        thorough: How to search for the shortest stretch, before there is none.
+    """
+    poses, start, at, failed = query.task.poses, query.start, 0, whole
+    done: list[PlacementResult] = []
+    ends = [*breaks, len(poses) - 1]
 
-        found = plan(len(ends) - 1) if done else None
-        stop = len(ends) - 1
+    def plan(index: int, config: PipelineConfig = query.config) -> PlacementResult | None:
+        nonlocal failed
+        task = replace(query.task, poses=poses[at : ends[index] + 1])
+        answer = plan_placement(replace(query, task=task, start=start, config=config))
+        if answer.plan.feasible:
+            return answer
+        failed = answer
+        return None
+
+    while ends:
+        last = len(ends) - 1
+        stop, found = last, plan(last) if done else None  # the whole path was asked before
         if found is None:
-            stop, found = last_that_works(plan, -1, len(ends) - 1, first_step=1)
+            stop, found = last_that_works(plan, -1, last, first_step=1)
         if found is None:
-            return [*done, failed or whole]
+            stop, found = 0, plan(0, replace(thorough, base="fixed"))
+        if found is None:
+            return [*done, failed]
         done.append(found)
         assert found.plan.base_pose is not None
-        at, start = ends[stop], np.array(found.plan.base_pose)
+        at, start, ends = ends[stop], np.array(found.plan.base_pose), ends[stop + 1 :]
     return done
