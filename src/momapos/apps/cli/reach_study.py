@@ -102,7 +102,7 @@ def reach_study(
         draw_pose_map(room, machine, poses, found, bases, map_file)
     if page is not None:
         with require("view"):
-            from momapos.apps.web.static import write_study_page
+            from momapos.apps.web import write_study_page
         write_study_page(room, machine, name, poses, study, page)
     reached = int(study.reached.sum())
     if json:
