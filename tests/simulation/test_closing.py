@@ -74,7 +74,8 @@ def test_a_collision_above_the_force_limit_fails_even_if_the_door_closes(tmp_pat
     hit = loose.collisions[0]
     strict = door.run(config=ExecutionConfig(touch_force=0.5 * hit.force))
     assert not strict.success
-    assert f"{hit.one} hit {hit.other}" in strict.reason
+    assert strict.reason.startswith(f"hit: {hit.one} ")
+    assert f" mm in {hit.other} with " in strict.reason
 
 
 def test_an_element_that_overlaps_the_closed_door_does_not_hold_it_open(tmp_path: Path) -> None:

@@ -78,7 +78,9 @@ def test_a_path_home_that_collides_or_ends_elsewhere_is_rejected(
     assert motion is not None
     assert motion.home is not None
     short = replace(motion, home=motion.home[:-3])
-    assert "path home ends where the approach starts" in check(kitchen, segway, plan, short)
+    # An object is carried in a state of its own.
+    elsewhere = "path home ends where the approach starts" in check(kitchen, segway, plan, short)
+    assert elsewhere == (plan.task.verb == "open")
     down = motion.home[-1].copy()
     down[1] += np.pi / 2 + 0.6  # the upper arm into the base or the floor
     dips = np.linspace(motion.home[-1], down, 60)

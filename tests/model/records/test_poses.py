@@ -80,5 +80,5 @@ def test_only_reach_has_poses_and_no_object() -> None:
     one = ToolPose((0, 0, 0))
     assert Task("reach", "", poses=(one,)).target == "1 pose"
     for wrong in (Task, lambda *a: Task(*a, poses=(one,))):
-        with pytest.raises(InputError, match="reach needs poses and no object"):
+        with pytest.raises(InputError, match="reach and follow need poses and no object"):
             wrong("reach", "table" if wrong is not Task else "")

@@ -171,7 +171,7 @@ def draw_study(
 def _bar(figure: Figure, colored: Any, title: str) -> None:
     bar = figure.colorbar(colored, cax=figure.add_axes(_BAR))
     bar.ax.tick_params(labelsize=7.5, color=SOFT_INK, labelcolor=INK, length=2.5, pad=3)
-    bar.ax.set_title(title, size=8, color=INK, loc="left", pad=6)
+    bar.ax.set_title(label(title), size=8, color=INK, loc="left", pad=6)
     bar.outline.set(edgecolor=SOFT_INK, linewidth=0.6)
 
 
