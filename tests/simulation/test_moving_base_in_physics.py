@@ -82,6 +82,7 @@ def test_a_base_that_slips_more_ends_farther_from_its_path(tmp_path: Path) -> No
     assert off[1] > 2 * off[0]
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_slip(tmp_path: Path) -> None:
     ready = made(tmp_path, "differential", fingers=False)
     reached = [run(ready, 0.1, seed, hold="weld")[0].reached for seed in (3, 3, 4)]

@@ -288,9 +288,8 @@ def test_only_the_rooms_of_the_chosen_tasks_are_drawn(
     assert all(task in made.suite.limited(5) for task in made.suite.limited(3))
 
 
-@pytest.mark.parametrize(
-    "number", [2, *(pytest.param(k, marks=pytest.mark.slow) for k in ACCEPTED if k != 2)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ACCEPTED)
 def test_a_stored_random_state_skips_only_kitchens_that_are_rejected(
     number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

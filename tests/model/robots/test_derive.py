@@ -186,6 +186,7 @@ def test_library_robots_can_be_derived_from_their_urdf(name: str) -> None:
     assert doubts == []
 
 
+@pytest.mark.slow
 @optional.needs("real data", FETCH.is_dir())
 def test_the_manufacturers_fetch_is_derived_correctly(tmp_path: Path) -> None:
     shutil.copytree(FETCH, tmp_path / "fetch", copy_function=shutil.copyfile)
