@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -171,7 +172,8 @@ def pick_in_the_view(page: Page, tab: Tab) -> None:
     assert until(lambda: client.camera.image_height == SIZE["height"])
     warning = tab.locator(".mantine-Notification-closeButton")  # without a graphics card
     while warning.count():
-        warning.first.click(force=True, timeout=LONG)
+        with suppress(NotInTime):  # it also closes by itself
+            warning.first.click(force=True, timeout=2_000)
         tab.wait_for_timeout(500)
     drawn(tab)
     for name in ("microwave", "fridge"):
