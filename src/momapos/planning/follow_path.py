@@ -77,7 +77,7 @@ def _stretches(
 
     while ends:
         last = len(ends) - 1
-        stop, found = last, plan(last) if done else None  # the whole path was asked before
+        stop, found = last, plan(last) if done else None  # the whole path has no plan
         if found is None:
             stop, found = last_that_works(plan, -1, last, first_step=1)
         if found is None:

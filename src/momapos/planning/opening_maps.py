@@ -20,7 +20,7 @@ from .config import PipelineConfig
 from .task_setup import PreparedTask, prepare
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
 
 DEFAULT = PipelineConfig()
 YAWS = 16
@@ -31,8 +31,37 @@ YAW_BATCHES = (1, 4, YAWS)
 """Ends of the batches in which the yaws of a cell are tried, best reached first [-]."""
 
 
-@dataclass(frozen=True, eq=False)
-class OpeningMap:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FloorMap:
+    """A grid of base positions, each with its best yaw."""
+
+    yaw: Float[np.ndarray, "rows columns"]
+    """That yaw [rad]; NaN where there is none."""
+    low: Float[np.ndarray, "2"]
+    """Corner of cell (0, 0) [m]."""
+    cell: float
+    """Edge of a cell [m]."""
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Return left, right, bottom and top [m]."""
+        rows, columns = self.yaw.shape
+        right, top = self.low + self.cell * np.array([columns, rows])
+        return (float(self.low[0]), float(right), float(self.low[1]), float(top))
+
+    def corners(self, colored: Bool[np.ndarray, "rows columns"]) -> list[Float[np.ndarray, "2 2"]]:
+        """Return the lower and upper corner of each row of colored cells [m]."""
+        rows, columns = np.nonzero(colored)
+        found = []
+        for row in np.unique(rows):
+            own = columns[rows == row]
+            cells = np.array([[own.min(), row], [own.max() + 1, row + 1]])
+            found.append(self.low + self.cell * cells)
+        return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OpeningMap(FloorMap):
     """The farthest joint value that works from each cell of the floor."""
 
     scene: Scene
@@ -41,21 +70,8 @@ class OpeningMap:
     """Joint value in the scene [rad] or [m]."""
     farthest: Float[np.ndarray, "rows columns"]
     """Farthest value that works [rad] or [m]; NaN where not even the first one works."""
-    yaw: Float[np.ndarray, "rows columns"]
-    """Yaw at which it works [rad]; NaN likewise."""
-    low: Float[np.ndarray, "2"]
-    """Corner of cell (0, 0) [m]."""
-    cell: float
-    """Edge of a cell [m]."""
     values: Float[np.ndarray, " k"]
     """Values that were tried, the nearest to `begin` first [rad] or [m]."""
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Return left, right, bottom and top [m]."""
-        rows, columns = self.farthest.shape
-        right, top = self.low + self.cell * np.array([columns, rows])
-        return (float(self.low[0]), float(right), float(self.low[1]), float(top))
 
     def _repr_png_(self) -> bytes:
         """Return the figure that a notebook shows."""
@@ -93,11 +109,7 @@ def opening_map(
     values = waypoint_values(scene, task, config)
     nearest = _prepared(scene, robot, task, float(values[0]), config)
     low, shape = _grid(nearest, cell)
-    x, y = (low[k] + cell * (np.arange(shape[1 - k]) + 0.5) for k in (0, 1))
-    centers = np.stack(np.meshgrid(x, y))
-    poses = np.empty((shape[0] * shape[1], YAWS, 3))
-    poses[..., :2] = centers.reshape(2, -1).T[:, None]
-    poses[..., 2] = 2 * np.pi / YAWS * np.arange(YAWS) - np.pi
+    poses = cell_poses(low, cell, shape)
     farthest, yaw = np.full(len(poses), np.nan), np.full(len(poses), np.nan)
     for done, value in enumerate(values[::-1].tolist()):
         report(done / len(values))
@@ -110,9 +122,28 @@ def opening_map(
         works = best >= 0
         farthest[left[works]] = value
         yaw[left[works]] = poses[0, best[works], 2]
-    grids = (farthest.reshape(shape), yaw.reshape(shape))
-    begin = scene.object(task.object).values()[task.joint or ""]
-    return OpeningMap(scene, task, begin, *grids, low, cell, values)
+    return OpeningMap(
+        yaw=yaw.reshape(shape), low=low, cell=cell, scene=scene, task=task,
+        begin=scene.object(task.object).values()[task.joint or ""],
+        farthest=farthest.reshape(shape), values=values,
+    )  # fmt: skip
+
+
+def cell_poses(
+    low: Float[np.ndarray, "2"], cell: float, shape: tuple[int, int]
+) -> Float[np.ndarray, "c y 3"]:
+    """Return the base poses of all yaws at the centers of the cells, row by row.
+
+    Args:
+        low: Corner of cell (0, 0) [m].
+        cell: Edge of a cell [m].
+        shape: Number of rows and columns.
+    """
+    x, y = (low[k] + cell * (np.arange(shape[1 - k]) + 0.5) for k in (0, 1))
+    poses = np.empty((shape[0] * shape[1], YAWS, 3))
+    poses[..., :2] = np.stack(np.meshgrid(x, y)).reshape(2, -1).T[:, None]
+    poses[..., 2] = 2 * np.pi / YAWS * np.arange(YAWS) - np.pi
+    return poses
 
 
 def waypoint_values(scene: Scene, task: Task, config: PipelineConfig) -> Float[np.ndarray, " k"]:

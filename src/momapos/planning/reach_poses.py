@@ -100,8 +100,6 @@ def plan_pose_stops(query: PlacementQuery, *, in_order: bool = False) -> Tour:
             f"{robot.title}: its arm has {robot.chain.size} joints; to reach given tool poses, it "
             f"needs {FULL_DOF}"
         )
-    if query.region.facing is not None:
-        raise InputError("facing is for one grasp, not for tool poses; leave it out")
     began = query.watch.clock()
     with query.in_time():
         tour = PoseSearch.of(query, in_order=in_order).answer()
@@ -166,7 +164,13 @@ class PoseSearch:
 
     @classmethod
     def of(cls, query: PlacementQuery, *, in_order: bool) -> PoseSearch:
-        """Prepare the search."""
+        """Prepare the search.
+
+        Raises:
+            InputError: The region limits the angle to the grasp.
+        """
+        if query.region.facing is not None:
+            raise InputError("facing is for one grasp, not for tool poses; leave it out")
         scene, robot, task, config, watch = (
             query.scene, query.robot, query.task, query.config, query.watch,
         )  # fmt: skip

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from momapos.core import InputError, finite_array
+from momapos.core import finite_array
 from momapos.model.kinematics import dexterities
 
-from .opening_maps import YAWS
+from .opening_maps import FloorMap, cell_poses
 from .query import PlacementQuery
 from .reach_poses import PoseSearch
 
@@ -30,27 +30,14 @@ MAX_CHECKS = 400_000
 """Pairs of base pose and tool pose that a map checks [-]; with more poses its cells grow."""
 
 
-@dataclass(frozen=True, eq=False)
-class PoseMap:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseMap(FloorMap):
     """How many tool poses each cell of the floor serves, at its best yaw."""
 
     served: Float[np.ndarray, "rows columns"]
     """Number of poses; NaN where the base cannot stand [-]."""
-    yaw: Float[np.ndarray, "rows columns"]
-    """The best yaw [rad]; NaN likewise."""
-    low: Float[np.ndarray, "2"]
-    """Corner of cell (0, 0) [m]."""
-    cell: float
-    """Edge of a cell [m]."""
     poses: int
     """Number of poses [-]."""
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Return left, right, bottom and top [m]."""
-        rows, columns = self.served.shape
-        right, top = self.low + self.cell * np.array([columns, rows])
-        return (float(self.low[0]), float(right), float(self.low[1]), float(top))
 
     @property
     def best(self) -> tuple[float, float, float] | None:
@@ -92,8 +79,6 @@ def map_poses(query: PlacementQuery, *, cell: float = CELL) -> PoseMap:
         InputError: The region limits the angle to the grasp.
         OutOfTimeError: The time was over.
     """
-    if query.region.facing is not None:
-        raise InputError("facing is for one grasp, not for tool poses; leave it out")
     with query.in_time():
         search = PoseSearch.of(query, in_order=False)
         low, high = search.rectangle(search.usable)
@@ -101,7 +86,7 @@ def map_poses(query: PlacementQuery, *, cell: float = CELL) -> PoseMap:
         cell = max(cell, float(np.sqrt(area * len(search.usable) / MAX_CHECKS)))
         columns, rows = np.maximum(np.ceil((high - low) / cell), 0).astype(int).tolist()
         served, yaw = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
-        bases = _cells(low, cell, rows, columns)
+        bases = cell_poses(low, cell, (rows, columns)).reshape(-1, 3)
         found = search.rows_of(bases, every=True)
         at = ((found.bases[:, :2] - low) / cell).astype(int)
         where = at[:, 1] * columns + at[:, 0]
@@ -109,7 +94,7 @@ def map_poses(query: PlacementQuery, *, cell: float = CELL) -> PoseMap:
         search.check(found, chosen[found.serves[chosen].any(1)])
         served.flat[where[chosen]] = found.serves[chosen].sum(1)
         yaw.flat[where[chosen]] = found.bases[chosen, 2]
-        return PoseMap(served, yaw, low, cell, len(search.tools))
+        return PoseMap(yaw=yaw, low=low, cell=cell, served=served, poses=len(search.tools))
 
 
 def study_reach(query: PlacementQuery, base_pose: Sequence[float] | None = None) -> ReachStudy:
@@ -120,7 +105,8 @@ def study_reach(query: PlacementQuery, base_pose: Sequence[float] | None = None)
         base_pose: x [m], y [m], yaw [rad]; None for the one that serves the most poses, of a map.
 
     Raises:
-        InputError: The base pose is not three finite numbers.
+        InputError: The base pose is not three finite numbers, or the region limits the angle to
+            the grasp.
         OutOfTimeError: The time was over.
     """
     search = PoseSearch.of(query, in_order=False)
@@ -149,15 +135,6 @@ def _most(search: PoseSearch) -> str:
     """Return the outcome of most base poses of a search, in words."""
     outcome, count = max(search.counts.items(), key=lambda one: one[1])
     return str(outcome) if count else ""
-
-
-def _cells(
-    low: Float[np.ndarray, "2"], cell: float, rows: int, columns: int
-) -> Float[np.ndarray, "n 3"]:
-    """Return the base poses of all cells and yaws."""
-    x, y = (low[k] + cell * (np.arange(n) + 0.5) for k, n in ((0, columns), (1, rows)))
-    turn = 2 * np.pi / YAWS * np.arange(YAWS) - np.pi
-    return np.stack([one.ravel() for one in np.meshgrid(x, y, turn, indexing="ij")], axis=1)
 
 
 def _best_of_each(

@@ -39,11 +39,12 @@ MAX_LABELS = 13
 """Maximum number of values next to the color bar [-]."""
 VIEW_MARGIN = 0.3
 """Margin of the view around the part, the colored cells and the base [m]."""
-_MAP = (0.06, 0.075, 0.735, 0.82)
-_BAR = (0.825, 0.3, 0.028, 0.545)
+MAP = (0.06, 0.075, 0.735, 0.82)
+BAR = (0.825, 0.3, 0.028, 0.545)
+"""Where the map and its color bar are: left, bottom, width and height as shares of the figure."""
 _MAX_TITLE_WIDTH = 0.92
 """Maximum width of the title, as a share of the figure [-]."""
-_CELL_LAYER, _PART_LAYER, _DOT = 1.0, 7.0, 12.0
+CELL_LAYER, _PART_LAYER, DOT = 1.0, 7.0, 12.0
 
 
 def draw_opening_map(
@@ -73,7 +74,7 @@ def draw_opening_map_alone(opening: OpeningMap, path: Path) -> None:
 def _figure_alone(opening: OpeningMap) -> Figure:
     scene, task = opening.scene, opening.task
     content = np.concatenate([scene.object(task.object).bounds[:, :2], *_colored(opening)])
-    figure, axes = _new_map(scene, content)
+    figure, axes = new_map(scene, content)
     draw_room(axes, scene, target=task.object)
     _draw_cells(figure, axes, opening, slides=slides(scene, task))
     name_objects(axes, scene, target=task.object, keep_clear=_colored(opening))
@@ -81,12 +82,12 @@ def _figure_alone(opening: OpeningMap) -> Figure:
     return figure
 
 
-def _new_map(scene: Scene, content: Float[np.ndarray, "n 2"]) -> tuple[Figure, Any]:
+def new_map(scene: Scene, content: Float[np.ndarray, "n 2"]) -> tuple[Figure, Any]:
     """Return a figure and its axes in meters, whose view contains points of the floor [m]."""
     figure = new_figure(SIZE)
-    axes = figure.add_axes(_MAP)
+    axes = figure.add_axes(MAP)
     bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
-    ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
+    ratio = MAP[2] * SIZE[0] / (MAP[3] * SIZE[1])
     view = np.stack([content.min(0) - VIEW_MARGIN, content.max(0) + VIEW_MARGIN])
     set_view(axes, widen(view, ratio, bounds))
     return figure, axes
@@ -94,14 +95,14 @@ def _new_map(scene: Scene, content: Float[np.ndarray, "n 2"]) -> tuple[Figure, A
 
 def _figure(scene: Scene, answer: PlacementResult, opening: OpeningMap) -> Figure:
     chosen = shown_base(answer)
-    figure, axes = _new_map(scene, _content(scene, answer, opening, chosen))
+    figure, axes = new_map(scene, _content(scene, answer, opening, chosen))
     target = opening.task.object
     draw_room(axes, scene, target=target, moving=moving_links(scene, answer))
     _draw_cells(figure, axes, opening, slides=answer.slides)
     clear = [np.stack([xy.min(0), xy.max(0)]) for xy in _draw_part(axes, answer)]
     if chosen is not None:
         draw_footprint(axes, answer.prepared.robot, chosen, filled=False)
-        axes.plot(*chosen[:2], "o", color=INK, markersize=4, markeredgecolor="white", zorder=_DOT)
+        axes.plot(*chosen[:2], "o", color=INK, markersize=4, markeredgecolor="white", zorder=DOT)
         xy = place_points(chosen[None], answer.prepared.robot.footprint)[0]
         clear.append(np.stack([xy.min(0), xy.max(0)]))
     name_objects(axes, scene, target=target, keep_clear=[*clear, *_colored(opening)])
@@ -132,14 +133,7 @@ def _content(
 
 
 def _colored(opening: OpeningMap) -> list[Float[np.ndarray, "2 2"]]:
-    """Return the lower and upper corner of each row of colored cells [m]."""
-    rows, columns = np.nonzero(np.isfinite(opening.farthest))
-    corners = []
-    for row in np.unique(rows):
-        own = columns[rows == row]
-        cells = np.array([[own.min(), row], [own.max() + 1, row + 1]])
-        corners.append(opening.low + opening.cell * cells)
-    return corners
+    return opening.corners(np.isfinite(opening.farthest))
 
 
 def _draw_cells(figure: Figure, axes: Any, opening: OpeningMap, *, slides: bool) -> None:
@@ -156,9 +150,9 @@ def _draw_cells(figure: Figure, axes: Any, opening: OpeningMap, *, slides: bool)
     if index.size:
         axes.imshow(
             index, extent=opening.extent, origin="lower", interpolation="nearest",
-            zorder=_CELL_LAYER, aspect="equal", **limits,
+            zorder=CELL_LAYER, aspect="equal", **limits,
         )  # fmt: skip
-    bar = figure.add_axes(_BAR)
+    bar = figure.add_axes(BAR)
     bar.imshow(
         np.arange(count)[:, None], extent=(0, 1, -0.5, count - 0.5), origin="lower",
         interpolation="nearest", aspect="auto", **limits,
@@ -204,7 +198,7 @@ def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
         what: Beginning of the title.
         lines: The frame that stands in a cell, and what else is drawn.
     """
-    title = figure.text(_MAP[0], 0.94, label(f"{what}, by base position"), size=11, weight="bold")
+    title = figure.text(MAP[0], 0.94, label(f"{what}, by base position"), size=11, weight="bold")
     width = title.get_window_extent(figure.canvas.get_renderer()).width
     title.set(color=INK, size=11 * min(1.0, _MAX_TITLE_WIDTH * SIZE[0] * DPI / width))
     base, *further = lines
@@ -212,4 +206,4 @@ def _write(figure: Any, what: str, lines: Sequence[str]) -> None:
             "cannot be moved"]  # fmt: skip
     for line in further:
         text += ["", line]
-    figure.text(_BAR[0], 0.27, label("\n".join(text)), size=7.5, color=SOFT_INK, va="top")
+    figure.text(BAR[0], 0.27, label("\n".join(text)), size=7.5, color=SOFT_INK, va="top")

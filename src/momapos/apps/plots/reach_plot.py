@@ -15,23 +15,14 @@ from momapos.model.robots import Robot
 from momapos.model.scene import Scene, link_named
 from momapos.planning import PoseMap, ReachStudy
 
-from .answer_plot import DPI, new_figure, set_view, widen
+from .answer_plot import DPI, new_figure
 from .image_files import check_figure_path, save_figure
+from .opening_plot import BAR, CELL_LAYER, COLORS, DOT, MAP, SIZE, new_map
 from .palette import BAD, FURNITURE, INK, SOFT_INK, WAYPOINT
-from .room_plot import draw_footprint, draw_room, name_objects, room_bounds
+from .room_plot import draw_footprint, draw_room, name_objects
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
     from matplotlib.figure import Figure
-
-SIZE = (8.0, 5.6)
-"""Size of the figure [in]."""
-COLORS = "viridis"
-VIEW_MARGIN = 0.3
-"""Margin of the view around the colored cells and the poses [m]."""
-_MAP = (0.06, 0.075, 0.735, 0.82)
-_BAR = (0.825, 0.3, 0.028, 0.545)
-_CELLS, _DOTS = 1.0, 12.0
 
 
 def draw_pose_map(
@@ -56,36 +47,29 @@ def draw_pose_map(
         InputError: The file cannot be written, or its format is not supported.
     """
     check_figure_path(path)
-    figure = new_figure(SIZE)
-    axes = figure.add_axes(_MAP)
     points = np.array([pose.xyz[:2] for pose in poses])
-    content = np.concatenate([points, _colored(found)])
-    view = np.stack([content.min(0) - VIEW_MARGIN, content.max(0) + VIEW_MARGIN])
-    bounds = room_bounds(scene) + np.array([[-0.1], [0.1]])
-    bounds = np.stack([np.minimum(bounds[0], view[0]), np.maximum(bounds[1], view[1])])
-    ratio = _MAP[2] * SIZE[0] / (_MAP[3] * SIZE[1])
-    set_view(axes, widen(view, ratio, bounds))
+    colored = found.corners(found.served > 0)
+    figure, axes = new_map(scene, np.concatenate([points, *colored]))
     draw_room(axes, scene)
     most = int(np.nanmax(found.served, initial=1.0))
     shown = np.where(found.served > 0, found.served, np.nan)
     if shown.size:
         image = axes.imshow(
-            shown, extent=found.extent, origin="lower", interpolation="nearest", zorder=_CELLS,
+            shown, extent=found.extent, origin="lower", interpolation="nearest", zorder=CELL_LAYER,
             aspect="equal", cmap=f"{COLORS}_r", vmin=1, vmax=max(most, 2),
         )  # fmt: skip
         _bar(figure, image, "poses")
-    axes.plot(*points.T, ".", color=WAYPOINT, markersize=4, zorder=_DOTS)
+    axes.plot(*points.T, ".", color=WAYPOINT, markersize=4, zorder=DOT)
     for base in bases:
         draw_footprint(axes, robot, np.asarray(base, float), filled=False)
-    clear = [np.stack([points.min(0), points.max(0)])]
-    name_objects(axes, scene, target="", keep_clear=clear)
+    name_objects(axes, scene, keep_clear=[np.stack([points.min(0), points.max(0)]), *colored])
     title = f"How many of {found.poses} poses {robot.title} reaches, by base position"
-    figure.text(_MAP[0], 0.94, label(title), size=10, weight="bold", color=INK)
+    figure.text(MAP[0], 0.94, label(title), size=10, weight="bold", color=INK)
     words = (
         f"cell: position of\n{robot.base_link},\nbest yaw\n\ndots: the poses\n\n"
         "outlines: base poses\nof the answer"
     )
-    figure.text(_BAR[0], 0.27, label(words), size=7.5, color=SOFT_INK, va="top")
+    figure.text(BAR[0], 0.27, label(words), size=7.5, color=SOFT_INK, va="top")
     save_figure(figure, path, dpi=DPI)
 
 
@@ -115,7 +99,7 @@ def draw_study(
 
     check_figure_path(path)
     figure = new_figure(SIZE)
-    axes: Any = figure.add_axes(_MAP, projection="3d")
+    axes: Any = figure.add_axes(MAP, projection="3d")
     axes.computed_zorder = False
     name, _, part = surface.partition("/")
     item = scene.object(name)
@@ -128,16 +112,17 @@ def draw_study(
     ]
     if hulls:
         axes.add_collection3d(Poly3DCollection(
-            np.concatenate(hulls), facecolor=FURNITURE, edgecolor="none", alpha=0.35, zorder=_CELLS
+            np.concatenate(hulls), facecolor=FURNITURE, edgecolor="none", alpha=0.35,
+            zorder=CELL_LAYER,
         ))  # fmt: skip
     points = np.array([pose.xyz for pose in poses])
     off, on = points[~study.reached], points[study.reached]
-    axes.scatter(*off.T, s=9, color=BAD, marker="x", linewidth=0.8, depthshade=False, zorder=_DOTS)
+    axes.scatter(*off.T, s=9, color=BAD, marker="x", linewidth=0.8, depthshade=False, zorder=DOT)
     if len(on):
         values = study.dexterity[study.reached]
         dots = axes.scatter(
             *on.T, s=20, c=values, cmap=f"{COLORS}_r", vmin=0.0, vmax=float(values.max()),
-            depthshade=False, zorder=_DOTS,
+            depthshade=False, zorder=DOT,
         )  # fmt: skip
         _bar(figure, dots, "dexterity")
     if study.base_pose is not None:
@@ -159,23 +144,17 @@ def draw_study(
         axis.set_major_locator(MaxNLocator(4))
     count = f"{int(study.reached.sum())} of {len(poses)}"
     title = f"{robot.title} reaches {count} points of {surface} from one base pose"
-    figure.text(_MAP[0], 0.94, label(title), size=10, weight="bold", color=INK)
+    figure.text(MAP[0], 0.94, label(title), size=10, weight="bold", color=INK)
     words = (
         "color: how evenly the arm\nmoves the tool there, in all\ndirections\n\n"
         "cross: not reached\n\noutline: the base"
     )
-    figure.text(_BAR[0] - 0.02, 0.27, label(words), size=7.5, color=SOFT_INK, va="top")
+    figure.text(BAR[0] - 0.02, 0.27, label(words), size=7.5, color=SOFT_INK, va="top")
     save_figure(figure, path, dpi=DPI)
 
 
 def _bar(figure: Figure, colored: Any, title: str) -> None:
-    bar = figure.colorbar(colored, cax=figure.add_axes(_BAR))
+    bar = figure.colorbar(colored, cax=figure.add_axes(BAR))
     bar.ax.tick_params(labelsize=7.5, color=SOFT_INK, labelcolor=INK, length=2.5, pad=3)
     bar.ax.set_title(label(title), size=8, color=INK, loc="left", pad=6)
     bar.outline.set(edgecolor=SOFT_INK, linewidth=0.6)
-
-
-def _colored(found: PoseMap) -> Float[np.ndarray, "c 2"]:
-    """Return the centers of the cells that serve some pose [m]."""
-    rows, columns = np.nonzero(found.served > 0)
-    return found.low + found.cell * (np.column_stack([columns, rows]) + 0.5)

@@ -18,7 +18,6 @@ import numpy as np
 from momapos.core import InputError
 from momapos.core.geometry import invert, orthonormal, rotation_about
 from momapos.model.records import Task, ToolPose
-from momapos.model.robots import Robot
 from momapos.model.scene import Scene
 
 from .config import SUBSTEPS, MotionConfig
@@ -46,8 +45,6 @@ MAX_JUMP, JUMP_SHARE = 0.2, 20.0
 """A path with a gap above this [m] that is so many times its median gap has lost points [-]."""
 MIN_JUMP_POSES = 8
 """Number of poses from which on a gap is compared with the median [-]; a few may be corners."""
-STEP = 0.02
-"""Distance between tool poses of the approach, and of the way back [m]."""
 MAX_PATH_TURN = np.radians(120.0)
 """Largest turn between two poses of a path [rad]; beyond, the way to turn is not clear."""
 
@@ -147,17 +144,16 @@ def _targets(
     return PoseTargets(motion, np.repeat(rows, sizes), rows)
 
 
-def path_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) -> TaskMotion:
-    """Return the motion along a path: a straight approach, the path, and straight back.
+def path_motion(scene: Scene, task: Task, config: MotionConfig) -> TaskMotion:
+    """Return the motion along a path, without the way there and back.
 
     Between two poses the tool moves straight and turns evenly. What all poses tolerate are the
     grasps: the tool keeps its lean and its shift, and may turn about the axis on the way.
 
     Args:
         scene: The scene.
-        robot: The robot, whose hand approaches.
         task: The task with the poses.
-        config: The resolution, and the length of the approach.
+        config: The resolution.
 
     Raises:
         InputError: The poses touch different objects, two differ by too large a turn, or one is far
@@ -174,24 +170,9 @@ def path_motion(scene: Scene, robot: Robot, task: Task, config: MotionConfig) ->
     Ts, poses_at, waypoints = _resampled(task, config)
     common = _common(poses)
     variants = invert(common.T_world_tool) @ tool_poses_of(common, float(PATH_SPIN_STEP))
-    held = Ts @ variants[:, None]
-    steps = max(2, int(np.ceil(config.grasps.pregrasp / STEP)))
-    back = np.linspace(config.grasps.pregrasp, 0.0, steps + 1)[:-1]
-    approach = np.repeat(held[:, :1], steps, axis=1)
-    approach[..., :3, 3] -= back[:, None] * (held[:, :1, :3, :3] @ robot.approach_axis)
-    retreat = np.repeat(held[:, -1:], steps, axis=1)
-    retreat[..., :3, 3] -= back[::-1, None] * (held[:, -1:, :3, :3] @ robot.approach_axis)
-    every = np.concatenate([approach, held, retreat], axis=1)
-    count = every.shape[1]
-    motion = _motion(
-        scene, task, poses[0].contact, every,
-        np.concatenate([[0], steps + waypoints, [count - 1]]), _spins(common, variants),
-    )  # fmt: skip
-    inner = (np.arange(count) > 0) & (np.arange(count) < count - 1)
-    return replace(
-        motion, grasp_step=steps, release_step=count - 1 - steps, pose_steps=steps + poses_at,
-        holding=motion.holding & inner,
-    )  # fmt: skip
+    turning = _spins(common, variants)
+    motion = _motion(scene, task, poses[0].contact, Ts @ variants[:, None], waypoints, turning)
+    return replace(motion, pose_steps=poses_at)
 
 
 def _resampled(

@@ -156,7 +156,8 @@ def task_motion(
         TaskError: The robot has no gripper for a rigid object, or the object has no shape.
     """
     if task.verb == "follow":
-        return path_motion(scene, robot, task, config)
+        path = with_approach(path_motion(scene, task, config), robot, config.grasps)
+        return with_retreat(path, robot, config.grasps)
     if task.poses:
         return targets_of(scene, task, [tool_poses_of(pose) for pose in task.poses])[0].motion
     target = scene.object(task.object)
@@ -174,6 +175,23 @@ def task_motion(
     return with_retreat(motion, robot, config.grasps)
 
 
+def with_approach(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:
+    """Extend the motion along a path by a straight approach to its begin."""
+    approach = _straight_approach(robot, motion.Ts_world_tool[:, 0], config)
+    steps = approach.shape[1]
+    assert motion.pose_steps is not None
+    return replace(
+        motion,
+        Ts_world_tool=np.concatenate([approach, motion.Ts_world_tool], axis=1),
+        object_q=np.append(np.zeros(steps), motion.object_q),
+        waypoint_steps=np.append(0, steps + motion.waypoint_steps),
+        grasp_step=steps,
+        holding=np.append(motion.holding[0] & (np.arange(steps) > 0), motion.holding),
+        value=np.append(np.zeros(steps, np.int64), motion.value),
+        pose_steps=steps + motion.pose_steps,
+    )
+
+
 def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskMotion:
     """Extend a motion: at its end the hand releases the part and retracts straight."""
     back = _straight_approach(robot, motion.Ts_world_tool[:, -1], config)[:, ::-1]
@@ -184,7 +202,7 @@ def with_retreat(motion: TaskMotion, robot: Robot, config: GraspConfig) -> TaskM
         Ts_world_tool=np.concatenate([motion.Ts_world_tool, back], axis=1),
         object_q=np.append(motion.object_q, np.repeat(motion.object_q[-1], steps)),
         waypoint_steps=np.append(motion.waypoint_steps, held + steps - 1),
-        holding=np.append(motion.holding, np.arange(steps) < steps - 1),
+        holding=np.append(motion.holding, motion.holding[-1] & (np.arange(steps) < steps - 1)),
         value=np.append(motion.value, np.repeat(motion.value[-1], steps)),
         release_step=held - 1,
         latch_q=None
