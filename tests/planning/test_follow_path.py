@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import optional
 from tests.commands import error_of, output_of
-from tests.real import check_independently
+from tests.real import DATA, check_independently
 
 from momapos.core.errors import InputError, UnknownNameError
 from momapos.model.plan_files.plan_format import read_plan, write_plan
@@ -201,6 +202,13 @@ def test_lanes_cover_a_face_and_keep_the_tool_on_it(robot: Robot) -> None:
     front = wipe_path(kitchen, robot, "fridge/door/front", 0.2)
     assert all(pose.contact == "fridge" for pose in front.poses)
     assert wipe_path(kitchen, robot, "fridge/door_hinge/front", 0.2) == front
+
+
+def test_the_front_of_a_real_door_is_wiped_whose_shapes_are_on_other_links(robot: Robot) -> None:
+    file = optional.there(DATA / "bestman/Asset/Scene/Scene/Kitchen_1.json")
+    path = wipe_path(load_scene(file), robot, "elementA/chewie_door_right_joint/front", 0.15)
+    toward = np.stack([pose.T_world_tool[:3, :3] for pose in path.poses]) @ robot.approach_axis
+    np.testing.assert_allclose(toward, np.tile([1.0, 0.0, 0.0], (len(toward), 1)), atol=1e-6)
 
 
 @pytest.mark.slow

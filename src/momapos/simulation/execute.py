@@ -320,8 +320,8 @@ def cuts_of(motion: Motion) -> list[tuple[int, int, Hold | None]]:
 
     Returns:
         First and last state of each section, and the hold; None for a free hand. A hand that turns
-        a latch holds in two sections, before and after the part moves. Poses on the way of a tool
-        are no holds.
+        a latch holds in two sections, before and after the part moves. Poses that a tool
+        passes are no holds.
     """
     if motion.holds and all(hold.first == hold.last for hold in motion.holds):
         return [(0, len(motion.q) - 1, None)]

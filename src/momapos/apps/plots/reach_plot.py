@@ -12,8 +12,9 @@ from momapos.core import label
 from momapos.core.geometry import place_points
 from momapos.model.records import ToolPose
 from momapos.model.robots import Robot
-from momapos.model.scene import Scene, link_named
+from momapos.model.scene import Scene
 from momapos.planning import PoseMap, ReachStudy
+from momapos.planning.grasps import surface_links
 
 from .answer_plot import DPI, new_figure
 from .image_files import check_figure_path, save_figure
@@ -103,7 +104,7 @@ def draw_study(
     axes.computed_zorder = False
     name, _, part = surface.partition("/")
     item = scene.object(name)
-    links = (link_named(item, part),) if part else item.model.links
+    links = surface_links(item, part)
     poses_of = item.link_poses()
     hulls = [
         hull.vertices[hull.faces] @ poses_of[link][:3, :3].T + poses_of[link][:3, 3]

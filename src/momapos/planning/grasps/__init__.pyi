@@ -21,6 +21,7 @@ from .pose_targets import tool_poses_of as tool_poses_of
 from .retreats import LIFT_HEIGHT as LIFT_HEIGHT
 from .sliding_hooks import SlidingMotion as SlidingMotion
 from .sliding_hooks import sliding_motion as sliding_motion
+from .surfaces import surface_links as surface_links
 from .surfaces import surface_poses as surface_poses
 from .surfaces import wipe_path as wipe_path
 from .task_motions import GraspFilter as GraspFilter

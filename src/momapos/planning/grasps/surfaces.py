@@ -29,6 +29,8 @@ FACES = {
 """Names of faces by the axis of the object to which they are normal, and its side."""
 MAX_TILT = np.radians(10.0)
 """Largest angle between a face's triangles and its direction [rad]; rounded edges are left out."""
+MAX_TURN = np.radians(45.0)
+"""Largest angle between a front and the way in which its middle opens [rad]."""
 SAME_PLANE = 0.005
 """Triangles belong to one plane within this [m]."""
 SAMPLE = 0.01
@@ -72,8 +74,8 @@ def wipe_path(
     item = scene.object(name)
     if not name or not side:
         raise InputError(f"{face!r} names no face; write OBJECT/FACE, such as table/top")
-    links = (link_named(item, part),) if part else item.model.links
-    normal = _direction(item, part, side)
+    links = surface_links(item, part)
+    normal = _direction(item, links, part, side)
     region = _plane(item, links, normal, face)
     R = _axes(item, normal, region)
     lanes = _lanes(region @ R, width, face)
@@ -120,7 +122,7 @@ def surface_poses(
     away = _tip(robot) + finite_number("standoff", standoff, 0.0) + GAP
     name, _, part = surface.partition("/")
     item = scene.object(name)
-    triangles = _surface(item, (link_named(item, part),) if part else item.model.links)
+    triangles = _surface(item, surface_links(item, part))
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.linalg.norm(cross, axis=1) / 2
     count = max(1, round(float(area.sum()) / spacing**2))
@@ -148,16 +150,41 @@ def surface_poses(
     return tuple(poses)
 
 
-def _direction(item: SceneObject, part: str, side: str) -> Float[np.ndarray, "3"]:
+def surface_links(item: SceneObject, part: str) -> tuple[str, ...]:
+    """Return the links of an object, one by its name, or all that a joint moves."""
+    if part in item.model.joints:
+        return tuple(item.model.moved_by(part))
+    return (link_named(item, part),) if part else item.model.links
+
+
+def _direction(
+    item: SceneObject, links: tuple[str, ...], part: str, side: str
+) -> Float[np.ndarray, "3"]:
     """Return the direction in which a face looks, in the world."""
     moves = [j.name for j in item.model.joints.values() if part in (j.name, j.child)]
     if side == "front" and moves:
+        # Where a hinge is behind the leaf, its middle does not move straight out of it.
         forward = opening_direction(item, moves[0])[1]
-        return np.asarray(forward / np.linalg.norm(forward))
+        return _main_normal(_surface(item, links), forward)
     if side not in FACES:
         raise unknown_name("face", side, [*FACES, *(["front"] if moves else [])], item.name)
     axis, sign = FACES[side]
     return np.asarray(sign * item.T_world_object[:3, axis])
+
+
+def _main_normal(
+    triangles: Float[np.ndarray, "t 3 3"], forward: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the normal with the largest area among those near a direction, else that direction."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    length = np.linalg.norm(cross, axis=1, keepdims=True)
+    unit = forward / np.linalg.norm(forward)
+    near = (cross @ unit) > np.cos(MAX_TURN) * length[:, 0]
+    if not near.any():
+        return np.asarray(unit)
+    normals, which = np.unique(np.round(cross[near] / length[near], 3), axis=0, return_inverse=True)
+    best = normals[np.bincount(which.ravel(), length[near, 0]).argmax()]
+    return np.asarray(best / np.linalg.norm(best))
 
 
 def _surface(item: SceneObject, links: tuple[str, ...]) -> Float[np.ndarray, "t 3 3"]:
